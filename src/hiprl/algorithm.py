@@ -1,0 +1,217 @@
+"""Algorithm 1: propose a trajectory to compare, learn from the answer, and again.
+
+An episode is cut at the question. A judge by rule answers at once; a person answers through the store, whenever
+they like; neither part knows which.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+from jax.tree_util import Partial
+
+from hiprl.config import Config
+from hiprl.control.archive import Archive
+from hiprl.control.imagined import Ends, SearchReport, SearchState
+from hiprl.control.plan import Follow, planned
+from hiprl.control.policy import Babble, Uniform
+from hiprl.control.search import new_search, search
+from hiprl.data.preference import Preferences
+from hiprl.data.trajectory import Trajectory
+from hiprl.data.trajectory_set import Trajectories
+from hiprl.hallucinated import Hallucinated
+from hiprl.models.calibration import Calibration, ModelErrors, model_errors
+from hiprl.models.dynamics import DynamicsState, estimate_dynamics, new_dynamics
+from hiprl.models.ending import Ending, estimate_ending, new_ending
+from hiprl.models.estimate import estimate_reward, new_reward
+from hiprl.models.network import state_scaler
+from hiprl.models.reward import BOX_MARGIN, EstimatedReward, Gap
+from hiprl.rollout import J
+from hiprl.types import Actor, Count, Flag, Key, Scalar
+from hiprl.world.task import World
+
+KEPT = 0.7  # of the best policy's lead over random actions; with less, the newest one has fallen behind
+OVERPROMISE = 3.0  # times the executed return, by which imagination may exceed it before κ is halved
+
+
+class Run(eqx.Module):
+    """All that is known after k answers."""
+
+    k: Count
+    T: Trajectories
+    P: Preferences
+    dynamics: DynamicsState
+    reward: EstimatedReward
+    ending: Ending
+    calibration: Calibration
+    archive: Archive
+    """The searches behind the trajectories of T."""
+
+
+class Question(eqx.Module):
+    """Two trajectories to be compared: a new one, and one of T."""
+
+    tau: Trajectory
+    other: Count
+    """Which of T it is compared with."""
+    state: SearchState
+    """The search whose policy was executed."""
+    report: SearchReport
+    """What that search believes to have reached."""
+    searched: bool = eqx.field(static=True)
+    """False in the warm-up, where the actions are random."""
+
+
+Ask: TypeAlias = Callable[[Question, Run], float]
+"""The judge: gives g(τ, τ′) for the two trajectories of a question."""
+
+
+class Scores(eqx.Module):
+    """What an episode and its answer say about the models that did not know them yet."""
+
+    calibration: Calibration
+    """Taken on with the run."""
+    errors: ModelErrors
+    predicted: Gap
+    """What r̂ expected the answer to be."""
+    executed: Scalar
+    """Return by r̂ of what was executed, over as many steps as the search tried its policy for in imagination."""
+    overpromised: Flag
+    """The search promised far more than this."""
+
+
+def nothing_known(p: int, q: int, H: int, config: Config, *, key: Key) -> Run:
+    """Algorithm 1's first line: P = ∅, T = ∅, models that know nothing."""
+    dynamics_key, search_key, ending_key, reward_key = jr.split(key, 4)
+    blank = new_search(p, q + config.eta_size(p), config.search, key=search_key)
+    T = Trajectories.empty(config.comparisons + 1, H=H, p=p, q=q)
+    P = Preferences.empty(config.comparisons)
+    return Run(
+        k=jnp.zeros((), jnp.int32),
+        T=T,
+        P=P,
+        dynamics=new_dynamics(p, q, config.dynamics, key=dynamics_key),
+        reward=new_reward(P, T, config.reward, key=reward_key),
+        ending=new_ending(p, q, key=ending_key),
+        calibration=Calibration.start(p, config.comparisons, kappa=config.kappa),
+        archive=Archive.empty(T.capacity, blank),
+    )
+
+
+def begin(world: World, config: Config, *, key: Key) -> Run:
+    """Algorithm 1 before its loop: T = {τ_0}, by random actions."""
+    model_key, world_key = jr.split(key)
+    run = nothing_known(world.p, world.q, world.H, config, key=model_key)
+    T = run.T.add(world.roll_out(Uniform(world.q), key=world_key))
+    reward = estimate_reward(run.P, T, run.reward, config.reward)  # no answer yet, but a scale for the features
+    return eqx.tree_at(lambda run: (run.T, run.reward), run, (T, reward))
+
+
+def propose(run: Run, world: World, config: Config, *, key: Key) -> Question:
+    """Acts for one episode and picks a past trajectory to compare it with."""
+    search_key, world_key, pick_key = jr.split(key, 3)
+    other = run.T.pick(key=pick_key)
+    state = restart(run, config)
+    if int(run.k) + 1 < config.warm_up:
+        tau = world.roll_out(Babble.draw(state_scaler(run.T), world.q, key=search_key), key=world_key)
+        return Question(tau, other, state, SearchReport.nothing(), searched=False)
+    f_tilde = hallucinated(run, config)  # μ + βση, eq. (5)
+    ends = ends_of(run, world)
+    state, report = search(f_tilde, run.reward, ends, run.T, state, config.search, key=search_key)  # eq. (6)
+    acting = planned(state, f_tilde, run.reward, ends, config.plan, q=world.q, gamma=config.search.gamma)
+    tau = world.roll_out(acting, key=world_key)  # plans (a, η), executes a
+    return Question(tau, other, state, report, searched=True)
+
+
+def learn(run: Run, question: Question, g: float, world: World, config: Config, *, key: Key) -> Run:
+    """Takes the answer in and refits the models."""
+    dynamics_key, ending_key = jr.split(key)
+    T = run.T.add(question.tau)
+    P = run.P.add(jnp.asarray(g), T.last, question.other)
+    calibration = scored(run, question, jnp.asarray(g), config).calibration
+    reward = estimate_reward(P, T, run.reward, config.reward)  # eq. (7)
+    dynamics, ending = run.dynamics, run.ending
+    if int(run.k) + 2 >= config.warm_up:  # the next episode will search
+        first = int(run.k) + 2 == config.warm_up
+        steps = config.dynamics.cold_steps if first else config.dynamics.warm_steps
+        dynamics, _ = estimate_dynamics(T, dynamics, config.dynamics, steps=steps, key=dynamics_key)
+        if world.ends and world.terminates is None:
+            ending = estimate_ending(T, ending, key=ending_key)
+    archive = run.archive.put(T.last, question.state) if question.searched else run.archive
+    return Run(run.k + 1, T, P, dynamics, reward, ending, calibration, archive)
+
+
+def episode(run: Run, world: World, config: Config, ask: Ask, *, key: Key) -> Run:
+    """Episode k. `key` is the run's own: a stopped run goes on with the same draws."""
+    propose_key, learn_key = jr.split(jr.fold_in(key, run.k))
+    question = propose(run, world, config, key=propose_key)
+    return learn(run, question, ask(question, run), world, config, key=learn_key)
+
+
+def restart(run: Run, config: Config) -> SearchState:
+    """Where the next search begins: the newest policy, or the best executed one where the newest fell behind it.
+
+    Both are judged by the newest r̂ on what they did in the world, never by the true reward.
+    """
+    returns = run.reward.returns(run.T)
+    best = run.archive.best(returns)
+    random = jnp.mean(returns[: config.warm_up])
+    newest_is_good = returns[run.T.last] - random >= KEPT * (returns[best] - random)
+    return run.archive.get(jnp.where(config.restart & ~newest_is_good, best, run.T.last))
+
+
+def hallucinated(run: Run, config: Config) -> Hallucinated:
+    """f̃ with the calibrated β, kept in the box of what was seen."""
+    low, high = run.T.box(margin=BOX_MARGIN)
+    ensemble = run.dynamics.ensemble
+    return Hallucinated(
+        dynamics=ensemble,
+        beta=run.calibration.kappa * run.calibration.beta,
+        bonus=config.bonus * run.reward.unit,
+        step_scale=ensemble.step_scale,
+        low=low,
+        high=high,
+        mode=config.optimism,
+    )
+
+
+def ends_of(run: Run, world: World) -> Ends | None:
+    """When imagined episodes terminate: by the known rule, by the learned one, or never."""
+    if not world.ends:
+        return None
+    return run.ending if world.terminates is None else Partial(world.terminates)
+
+
+@partial(jax.jit, static_argnames=("config",))
+def scored(run: Run, question: Question, g: Scalar, config: Config) -> Scores:
+    """The models as they were before, judged by an episode and an answer that they have not seen."""
+    predicted = run.reward.gap(question.tau, run.T.get(question.other))
+    errors = model_errors(run.dynamics.ensemble, question.tau)
+    first = eqx.tree_at(
+        lambda tau: tau.length, question.tau, jnp.minimum(question.tau.length, config.search.trial_steps)
+    )
+    executed = J(first, run.reward)
+    promised = question.report.imagined
+    overpromised = question.searched & (promised - executed > OVERPROMISE * jnp.abs(executed))
+    calibration = run.calibration.after_answer(g, predicted)
+    if question.searched:
+        calibration = calibration.after_episode(errors, decay=config.kappa_decay, overpromised=overpromised)
+    return Scores(calibration, errors, predicted, executed, overpromised)
+
+
+def best_actor(run: Run, world: World, config: Config) -> Actor:
+    """The policy to report and to keep: the one whose executed trajectory the newest r̂ ranks best.
+
+    It is executed without exploration, and with planning only if the run planned.
+    """
+    state = run.archive.get(run.archive.best(run.reward.returns(run.T)))
+    if config.plan.kind == "mpc":
+        f_tilde, ends = hallucinated(run, config), ends_of(run, world)
+        return planned(state, f_tilde, run.reward, ends, config.plan, q=world.q, gamma=config.search.gamma)
+    return Follow(state.policy, world.q, explore=False)

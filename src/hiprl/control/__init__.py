@@ -1,0 +1,1 @@
+"""From a model to behaviour: policies, their search in imagination, planning at act time."""

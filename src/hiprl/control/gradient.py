@@ -1,0 +1,199 @@
+"""Policy search by back-propagation through the model: short imagined rollouts, ended by a learned value.
+
+One update imagines a batch of rollouts of a few steps from states that were seen, in the hallucinated model, and
+moves the policy up the gradient of their TD(λ) return; the value follows by regression to the same returns. Updates
+come in chunks. After each chunk the policy is tried for longer in every member of the belief, from where episodes
+begin, and the iterate whose worst member is best is the one that is kept.
+Source: value gradients through a model (SVG, Heess et al. 2015; Dreamer, Hafner et al. 2020), eq. (6) of HIP-RL.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import optax
+from jaxtyping import Array, Float
+
+from hiprl.control.imagined import Ends, SearchReport, SearchState, Starts, goes_on, report_of, trials
+from hiprl.control.policy import SquashedPolicy, Value
+from hiprl.hallucinated import Hallucinated
+from hiprl.models.network import Activation
+from hiprl.types import Key, Reward, Scalar, State, stacked_size
+
+
+@dataclass(frozen=True, kw_only=True)
+class GradientConfig:
+    """Settings of the search by back-propagation through the model."""
+
+    hidden: tuple[int, ...] = (128, 128)
+    """Units of the hidden layers of policy and value."""
+    activation: Activation = "elu"
+    """Between layers of policy and value."""
+    chunks: int = 6
+    """Looks at the policy in every member during one search."""
+    updates: int = 100
+    """Policy updates between two looks."""
+    rollouts: int = 25
+    """Imagined rollouts an update, for each of the M members."""
+    steps: int = 20
+    """Length of an imagined rollout; the value stands for what follows."""
+    policy_rate: float = 3e-4
+    """Learning rate of the policy (Adam)."""
+    value_rate: float = 1e-3
+    """Learning rate of the value (Adam)."""
+    value_updates: int = 4
+    """Updates of the value for each of the policy."""
+    gamma: float = 0.99
+    """Discount a step."""
+    lambda_: float = 0.95
+    """TD(λ): 0 trusts the value after one step, 1 the whole imagined rollout."""
+    entropy: float = 1e-3
+    """Weight of the policy's entropy, in units of a typical reward."""
+    target_rate: float = 0.02
+    """Share by which the target value moves to the value, each update."""
+    max_gradient: float = 1.0
+    """Norm to which the policy's gradient is cut."""
+    from_start: float = 0.1
+    """Share of imagined rollouts that begin where episodes begin, not at any seen state."""
+    trial_steps: int = 300
+    """Length of the longer trial after each chunk."""
+    trial_starts: int = 8
+    """Trials in each member."""
+
+
+def new_gradient(p: int, size: int, config: GradientConfig, *, key: Key) -> SearchState:
+    """A policy that does next to nothing, and a value that knows nothing."""
+    policy_key, value_key = jr.split(key)
+    hidden = {"hidden": config.hidden, "activation": config.activation}
+    return SearchState(SquashedPolicy.draw(p, size, **hidden, key=policy_key), Value.draw(p, **hidden, key=value_key))
+
+
+def gradient_search(
+    f_tilde: Hallucinated,
+    reward: Reward,
+    unit: Scalar,
+    ends: Ends | None,
+    starts: Starts,
+    state: SearchState,
+    config: GradientConfig,
+    *,
+    key: Key,
+) -> tuple[SearchState, SearchReport]:
+    """The policy, and its η, that is best in the hallucinated model, eq. (6); starts from `state`.
+
+    Args:
+        f_tilde: the hallucinated model.
+        reward: r̂.
+        unit: size of a typical reward, so that no setting depends on the judge's unit.
+        ends: when an imagined episode terminates; None for never.
+        starts: where rollouts begin.
+        state: policy and value of the search before.
+    """
+    scale = unit / (1 - config.gamma)
+    policy, value = state.policy.rescaled(starts.scaler), state.value.rescaled(starts.scaler, scale)
+    worlds, axis = f_tilde.worlds()
+    M = stacked_size(f_tilde.dynamics.members())
+    policy_opt = optax.chain(optax.clip_by_global_norm(config.max_gradient), optax.adam(config.policy_rate))
+    value_opt = optax.adam(config.value_rate)
+
+    def imagine(world: Hallucinated, policy: SquashedPolicy, target: Value, s_0: State, key: Key):
+        """States, TD(λ) returns and weights along one rollout; the returns carry the policy's gradient."""
+
+        def step(carry: tuple[State, Scalar], step_key: Key):
+            s, alive = carry
+            act_key, f_key = jr.split(step_key)
+            u, log_prob = policy.sample_with_log_prob(s, key=act_key)
+            s_next, bonus = world.step(s, u, value=target, key=f_key)
+            a, _ = world.split(u)
+            r = reward(s, a) + bonus - config.entropy * unit * log_prob
+            on = goes_on(ends, s, a, s_next)
+            return (s_next, alive * on), (s, s_next, r, on, alive)
+
+        _, (s, s_next, r, on, alive) = jax.lax.scan(step, (s_0, jnp.ones(())), jr.split(key, config.steps))
+        v_next = jax.vmap(target)(s_next)
+
+        def backward(after: Scalar, now: tuple[Scalar, Scalar, Scalar]):
+            r, on, v = now
+            ret = r + config.gamma * on * ((1 - config.lambda_) * v + config.lambda_ * after)
+            return ret, ret
+
+        _, returns = jax.lax.scan(backward, v_next[-1], (r, on, v_next), reverse=True)
+        return jax.lax.stop_gradient(s), returns, alive
+
+    over_rollouts = jax.vmap(imagine, in_axes=(None, None, None, 0, 0))
+    over_worlds = jax.vmap(over_rollouts, in_axes=(axis, None, None, 0, 0))
+
+    def draw_starts(key: Key) -> Float[Array, "M n p"]:
+        seen_key, first_key, which_key = jr.split(key, 3)
+        shape = (M, config.rollouts)
+        seen = jr.choice(seen_key, starts.seen, shape)
+        first = jr.choice(first_key, starts.first, shape)
+        return jnp.where(jr.bernoulli(which_key, config.from_start, (*shape, 1)), first, seen)
+
+    def update(carry, update_key: Key):
+        policy, value, target, policy_state, value_state = carry
+        start_key, roll_key = jr.split(update_key)
+        s_0 = draw_starts(start_key)
+        keys = jr.split(roll_key, (M, config.rollouts))
+
+        def policy_loss(policy: SquashedPolicy):
+            s, returns, alive = over_worlds(worlds, policy, target, s_0, keys)
+            return -jnp.sum(returns * alive) / (jnp.sum(alive) * scale), (s, returns, alive)
+
+        gradient, (s, returns, alive) = jax.grad(policy_loss, has_aux=True)(policy)
+        changes, policy_state = policy_opt.update(frozen_inputs(gradient), policy_state, policy)
+        policy = eqx.apply_updates(policy, changes)
+
+        flat_s, goal, weight = s.reshape(-1, s.shape[-1]), returns.reshape(-1) / scale, alive.reshape(-1)
+        goal = jax.lax.stop_gradient(goal)
+
+        def value_loss(value: Value, rows: Float[Array, " rows"]):
+            error = jax.vmap(value)(flat_s[rows]) / scale - goal[rows]
+            return jnp.sum(weight[rows] * error**2) / jnp.maximum(jnp.sum(weight[rows]), 1.0)
+
+        def value_step(carry, rows):
+            value, target, value_state = carry
+            changes, value_state = value_opt.update(
+                frozen_inputs(jax.grad(value_loss)(value, rows)), value_state, value
+            )
+            value = eqx.apply_updates(value, changes)
+            target = jax.tree.map(lambda t, v: t + config.target_rate * (v - t), target, value)
+            return (value, target, value_state), None
+
+        # minibatches interleave the rollouts, so that each sees all of them
+        n = flat_s.shape[0] // config.value_updates * config.value_updates
+        rows = jnp.arange(n).reshape(-1, config.value_updates).T
+        (value, target, value_state), _ = jax.lax.scan(value_step, (value, target, value_state), rows)
+        return (policy, value, target, policy_state, value_state), None
+
+    everywhere = f_tilde.in_each_member()
+
+    def chunk(carry, chunk_key: Key):
+        learner, best, best_report = carry
+        update_key, trial_key = jr.split(chunk_key)
+        learner, _ = jax.lax.scan(update, learner, jr.split(update_key, config.updates))
+        policy, value = learner[:2]
+        trial = {"steps": config.trial_steps, "n": config.trial_starts}
+        report = report_of(trials(everywhere, policy, reward, ends, starts.first, **trial, key=trial_key))
+        better = report.finite & ~(report.worst <= best_report.worst)
+        keep = lambda new, old: jnp.where(better, new, old)  # noqa: E731
+        best = jax.tree.map(keep, SearchState(policy, value), best)
+        return (learner, best, jax.tree.map(keep, report, best_report)), report.worst
+
+    learner = (policy, value, value, policy_opt.init(policy), value_opt.init(value))
+    carry = (learner, SearchState(policy, value), SearchReport.nothing())
+    (_, best, report), _ = jax.lax.scan(chunk, carry, jr.split(key, config.chunks))
+    return best, report
+
+
+def frozen_inputs(gradient):
+    """The gradient with that of scalers and scales set to zero: they are measured, not trained."""
+    zero = lambda tree: jax.tree.map(jnp.zeros_like, tree)  # noqa: E731
+    gradient = eqx.tree_at(lambda g: g.inputs, gradient, zero(gradient.inputs))
+    if isinstance(gradient, Value):
+        gradient = eqx.tree_at(lambda g: g.scale, gradient, zero(gradient.scale))
+    return gradient

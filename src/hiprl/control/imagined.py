@@ -1,0 +1,97 @@
+"""What every policy search shares: where it starts, what it gives, and the trial of a policy in imagination."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+from jaxtyping import Array, Float
+
+from hiprl.control.policy import ClippedPolicy, SquashedPolicy, Value
+from hiprl.hallucinated import Hallucinated
+from hiprl.models.network import Scaler
+from hiprl.types import Action, Flag, Key, Policy, Reward, Scalar, State, stacked_size
+
+Ends = Callable[[State, Action, State], Flag]
+"""When an imagined episode terminates. A pytree, so that a learned rule does not recompile a search."""
+
+
+def goes_on(ends: Ends | None, s: State, a: Action, s_next: State) -> Scalar:
+    """1 while an episode goes on, 0 where it terminates; without a rule it never does."""
+    return jnp.ones(()) if ends is None else jnp.where(ends(s, a, s_next), 0.0, 1.0)
+
+
+class SearchState(eqx.Module):
+    """What one search hands to the next."""
+
+    policy: SquashedPolicy | ClippedPolicy
+    value: Value
+
+
+class SearchReport(NamedTuple):
+    """What a search believes to have reached."""
+
+    imagined: Scalar
+    """Mean return by r̂ of the kept policy over the trial steps, over members and starts."""
+    worst: Scalar
+    """The same in the worst member."""
+    finite: Flag
+    """Whether every number stayed finite."""
+
+    @classmethod
+    def nothing(cls) -> SearchReport:
+        """Of no search at all."""
+        return cls(jnp.asarray(-jnp.inf), jnp.asarray(-jnp.inf), jnp.asarray(False))
+
+
+def report_of(returns: Float[Array, "M n"]) -> SearchReport:
+    """The summary of a trial."""
+    by_member = jnp.mean(returns, axis=1)
+    return SearchReport(jnp.mean(by_member), jnp.min(by_member), jnp.all(jnp.isfinite(by_member)))
+
+
+class Starts(eqx.Module):
+    """Where imagined rollouts may begin."""
+
+    seen: Float[Array, "n p"]
+    """Seen states, drawn afresh for each search."""
+    first: Float[Array, "N p"]
+    """States in which episodes began."""
+    scaler: Scaler
+    """Mean and spread of all seen states."""
+
+
+def trials(
+    worlds: Hallucinated,
+    policy: Policy,
+    reward: Reward,
+    ends: Ends | None,
+    first: Float[Array, "N p"],
+    *,
+    steps: int,
+    n: int,
+    key: Key,
+) -> Float[Array, "M n"]:
+    """Return by r̂ of `steps` steps without exploration: `n` times in each world, from where episodes begin."""
+
+    def one(world: Hallucinated, s_0: State, key: Key) -> Scalar:
+        def step(carry: tuple[State, Scalar], step_key: Key):
+            s, alive = carry
+            u = policy.mode(s)
+            s_next, _ = world.step(s, u, key=step_key)
+            a, _ = world.split(u)
+            on = goes_on(ends, s, a, s_next)
+            return (s_next, alive * on), alive * reward(s, a)
+
+        _, r = jax.lax.scan(step, (s_0, jnp.ones(())), jr.split(key, steps))
+        return jnp.sum(r)
+
+    start_key, roll_key = jr.split(key)
+    M = stacked_size(worlds)
+    s_0 = jr.choice(start_key, first, (M, n))
+    keys = jr.split(roll_key, (M, n))
+    return jax.vmap(jax.vmap(one, in_axes=(None, 0, 0)))(worlds, s_0, keys)

@@ -1,0 +1,148 @@
+"""Policies: a Gaussian squashed into the box, one that is clipped to it, and a random agent."""
+
+from __future__ import annotations
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+from jaxtyping import Array, Float
+
+from hiprl.models.network import MLP, Activation, Scaler
+from hiprl.types import Action, Actor, Key, Policy, Scalar, State
+
+MIN_LOG_STD, MAX_LOG_STD = -5.0, 1.0
+LOG_ROOT_2PI = 0.5 * math.log(2 * math.pi)
+
+
+def log_normal(u: Float[Array, " n"], mean: Float[Array, " n"], log_std: Float[Array, " n"]) -> Scalar:
+    """Log density of independent Gaussians."""
+    return jnp.sum(-0.5 * ((u - mean) / jnp.exp(log_std)) ** 2 - log_std - LOG_ROOT_2PI)
+
+
+class SquashedPolicy(Policy):
+    """tanh of a Gaussian whose mean and spread depend on the state."""
+
+    net: MLP
+    inputs: Scaler
+
+    @classmethod
+    def draw(cls, p: int, size: int, *, hidden: tuple[int, ...], activation: Activation, key: Key) -> SquashedPolicy:
+        """A policy of `size` outputs whose mean is near zero everywhere."""
+        net = MLP.draw(p, hidden, 2 * size, activation=activation, last_scale=0.01, key=key)
+        return cls(net, Scaler.identity(p))
+
+    def gaussian(self, s: State) -> tuple[Float[Array, " size"], Float[Array, " size"]]:
+        """Mean and log standard deviation before the squashing."""
+        mean, raw = jnp.split(self.net(self.inputs.down(s)), 2)
+        span = 0.5 * (MAX_LOG_STD - MIN_LOG_STD)
+        return mean, MIN_LOG_STD + span * (1 + jnp.tanh(raw + 0.5))
+
+    def mode(self, s: State) -> Float[Array, " size"]:
+        return jnp.tanh(self.gaussian(s)[0])
+
+    def sample(self, s: State, *, key: Key) -> Float[Array, " size"]:
+        return self.sample_with_log_prob(s, key=key)[0]
+
+    def sample_with_log_prob(self, s: State, *, key: Key) -> tuple[Float[Array, " size"], Scalar]:
+        """A draw, differentiable in the parameters, and the log of its density."""
+        mean, log_std = self.gaussian(s)
+        u = mean + jnp.exp(log_std) * jr.normal(key, mean.shape)
+        # log(1 - tanh²u) without loss of digits
+        squash = 2 * (math.log(2) - u - jax.nn.softplus(-2 * u))
+        return jnp.tanh(u), log_normal(u, mean, log_std) - jnp.sum(squash)
+
+    def rescaled(self, inputs: Scaler) -> SquashedPolicy:
+        """The same policy, standardising its input by another scaler."""
+        return SquashedPolicy(self.net.with_input_scaler(self.inputs, inputs), inputs)
+
+
+class ClippedPolicy(Policy):
+    """A Gaussian with one spread for all states, clipped to the box: what Stable-Baselines3's PPO learns."""
+
+    net: MLP
+    log_std: Float[Array, " size"]
+    inputs: Scaler
+
+    @classmethod
+    def draw(cls, p: int, size: int, *, hidden: tuple[int, ...], activation: Activation, key: Key) -> ClippedPolicy:
+        net = MLP.draw(p, hidden, size, activation=activation, last_scale=0.01, key=key)
+        return cls(net, jnp.zeros(size), Scaler.identity(p))
+
+    def gaussian(self, s: State) -> tuple[Float[Array, " size"], Float[Array, " size"]]:
+        """Mean and log standard deviation before the clipping."""
+        return self.net(self.inputs.down(s)), self.log_std
+
+    def mode(self, s: State) -> Float[Array, " size"]:
+        return jnp.clip(self.gaussian(s)[0], -1.0, 1.0)
+
+    def sample(self, s: State, *, key: Key) -> Float[Array, " size"]:
+        return jnp.clip(self.raw_sample(s, key=key), -1.0, 1.0)
+
+    def raw_sample(self, s: State, *, key: Key) -> Float[Array, " size"]:
+        """A draw before the clipping, whose density is known."""
+        mean, log_std = self.gaussian(s)
+        return mean + jnp.exp(log_std) * jr.normal(key, mean.shape)
+
+    def rescaled(self, inputs: Scaler) -> ClippedPolicy:
+        """The same policy, standardising its input by another scaler."""
+        return eqx.tree_at(
+            lambda policy: (policy.net, policy.inputs),
+            self,
+            (self.net.with_input_scaler(self.inputs, inputs), inputs),
+        )
+
+
+class Value(eqx.Module):
+    """V(s), the return to be expected from s, as a network's output times a scale."""
+
+    net: MLP
+    inputs: Scaler
+    scale: Scalar
+    """A typical return, in the judge's unit; the network's output is near 1."""
+
+    @classmethod
+    def draw(cls, p: int, *, hidden: tuple[int, ...], activation: Activation, key: Key) -> Value:
+        net = MLP.draw(p, hidden, 1, activation=activation, key=key)
+        return cls(net, Scaler.identity(p), jnp.ones(()))
+
+    def __call__(self, s: State) -> Scalar:
+        return self.scale * self.net(self.inputs.down(s))[0]
+
+    def rescaled(self, inputs: Scaler, scale: Scalar) -> Value:
+        """The same V, with other units inside."""
+        one = lambda std: Scaler(jnp.zeros(1), std[None])  # noqa: E731
+        net = self.net.with_input_scaler(self.inputs, inputs)
+        return Value(net.with_output_scaler(one(self.scale), one(scale)), inputs, scale)
+
+
+class Uniform(Actor):
+    """The random agent of the warm-up: each action uniform in the box, whatever the state."""
+
+    q: int = eqx.field(static=True)
+
+    def act(self, s: State, *, key: Key) -> Action:
+        return jr.uniform(key, (self.q,), minval=-1.0, maxval=1.0)
+
+
+class Babble(Actor):
+    """A random agent that does something else each time: a linear policy drawn at random, and noise.
+
+    Independent uniform actions average out, so that one random episode is like another and comparing them says next
+    to nothing. Episodes of this agent differ in posture, movement and effort.
+    """
+
+    gain: Float[Array, "p q"]
+    bias: Float[Array, " q"]
+    inputs: Scaler
+
+    @classmethod
+    def draw(cls, inputs: Scaler, q: int, *, key: Key) -> Babble:
+        gain_key, bias_key = jr.split(key)
+        p = inputs.mean.shape[0]
+        return cls(jr.normal(gain_key, (p, q)) / math.sqrt(p), 0.5 * jr.normal(bias_key, (q,)), inputs)
+
+    def act(self, s: State, *, key: Key) -> Action:
+        return jnp.tanh(self.inputs.down(s) @ self.gain + self.bias + 0.4 * jr.normal(key, self.bias.shape))

@@ -1,0 +1,219 @@
+"""Policy search by PPO over any imagined world: the paper's method, many rollouts at a time.
+
+Follows Schulman et al. (2017) as Stable-Baselines3 has it: one spread for all states, advantages standardised in
+each minibatch, one optimiser for policy and value. The samples of an iteration come from several imagined
+rollouts side by side; each begins anew when it terminates or has lasted as long as an episode.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import optax
+from jaxtyping import Array, Float
+
+from hiprl.control.imagined import Ends, SearchReport, SearchState, Starts, goes_on, report_of, trials
+from hiprl.control.policy import LOG_ROOT_2PI, ClippedPolicy, Value, log_normal
+from hiprl.hallucinated import Hallucinated
+from hiprl.models.network import Activation
+from hiprl.types import Key, Reward, Scalar, stacked_size
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOConfig:
+    """Settings of PPO; the defaults are Table 2 (InvertedPendulum)."""
+
+    hidden: tuple[int, ...] = (64, 64)
+    """Units of the hidden layers of policy and value (Stable-Baselines3's own)."""
+    activation: Activation = "tanh"
+    """Between layers."""
+    learning_rate: float = 2.5e-4
+    """Of Adam."""
+    n_steps: int = 500
+    """Imagined steps an iteration."""
+    rollouts: int = 20
+    """Rollouts side by side among which `n_steps` is shared out."""
+    batch_size: int = 256
+    """Samples in a minibatch; the last one of an epoch holds what is left."""
+    n_epochs: int = 5
+    """Passes over the samples of an iteration."""
+    gamma: float = 0.999
+    """Discount a step."""
+    gae_lambda: float = 0.9
+    """Of generalised advantage estimation."""
+    clip_range: float = 0.4
+    """How far the ratio of probabilities may leave 1."""
+    ent_coef: float = 1.5e-7
+    """Weight of the entropy."""
+    vf_coef: float = 0.2
+    """Weight of the value's loss."""
+    max_grad_norm: float = 0.3
+    """Norm to which a gradient is cut."""
+    total_timesteps: int = 100_000
+    """Imagined steps a search."""
+    trial_steps: int = 300
+    """Length of the trial at the end."""
+    trial_starts: int = 8
+    """Trials in each member."""
+
+    @property
+    def length(self) -> int:
+        """Steps of each rollout in one iteration."""
+        return self.n_steps // self.rollouts
+
+
+def new_ppo(p: int, size: int, config: PPOConfig, *, key: Key) -> SearchState:
+    """A policy that acts at random around zero, and a value that knows nothing."""
+    policy_key, value_key = jr.split(key)
+    return SearchState(
+        ClippedPolicy.draw(p, size, hidden=config.hidden, activation=config.activation, key=policy_key),
+        Value.draw(p, hidden=config.hidden, activation=config.activation, key=value_key),
+    )
+
+
+class Samples(eqx.Module):
+    """What one iteration imagined."""
+
+    s: Float[Array, "*n p"]
+    u: Float[Array, "*n size"]
+    log_prob: Float[Array, "*n"]
+    advantage: Float[Array, "*n"]
+    ret: Float[Array, "*n"]
+
+
+class Rollouts(eqx.Module):
+    """Where the imagined rollouts stand."""
+
+    s: Float[Array, "n p"]
+    age: Float[Array, " n"]
+    """Steps since the rollout began."""
+
+
+def ppo_search(
+    f_tilde: Hallucinated,
+    reward: Reward,
+    ends: Ends | None,
+    starts: Starts,
+    state: SearchState,
+    config: PPOConfig,
+    *,
+    H: int,
+    key: Key,
+) -> tuple[SearchState, SearchReport]:
+    """The policy, and its η, that PPO finds in the hallucinated model, eq. (6); starts from `state`.
+
+    Args:
+        f_tilde: the hallucinated model.
+        reward: r̂.
+        ends: when an imagined episode terminates; None for never.
+        starts: where rollouts begin; PPO begins where episodes begin.
+        state: policy and value of the search before.
+        H: steps after which an imagined episode is cut (and bootstrapped).
+    """
+    optimiser = optax.chain(optax.clip_by_global_norm(config.max_grad_norm), optax.adam(config.learning_rate, eps=1e-5))
+    policy, value = state.policy.rescaled(starts.scaler), state.value.rescaled(starts.scaler, jnp.ones(()))
+    worlds, axis = f_tilde.worlds()
+    M = stacked_size(worlds) if axis == 0 else 1
+    per_world = config.rollouts // M
+
+    def begin(key: Key) -> Float[Array, "n p"]:
+        return jr.choice(key, starts.first, (config.rollouts,))
+
+    def step_each(worlds: Hallucinated, value: Value, s, u, keys):
+        one = lambda world, s, u, key: world.step(s, u, value=value, key=key)  # noqa: E731
+        if axis is None:
+            return jax.vmap(one, in_axes=(None, 0, 0, 0))(worlds, s, u, keys)
+        # rollouts i, i + M, ... live in member i
+        by_world = lambda x: x.reshape(M, per_world, *x.shape[1:])  # noqa: E731
+        s, bonus = jax.vmap(jax.vmap(one, in_axes=(None, 0, 0, 0)))(worlds, by_world(s), by_world(u), by_world(keys))
+        return s.reshape(config.rollouts, -1), bonus.reshape(-1)
+
+    def imagine(policy: ClippedPolicy, value: Value, rollouts: Rollouts, key: Key) -> tuple[Rollouts, Samples]:
+        def step(now: Rollouts, step_key: Key):
+            act_key, f_key, begin_key = jr.split(step_key, 3)
+            n = config.rollouts
+            u = jax.vmap(lambda s, key: policy.raw_sample(s, key=key))(now.s, jr.split(act_key, n))
+            mean, log_std = jax.vmap(policy.gaussian, out_axes=(0, None))(now.s)
+            log_prob = jax.vmap(log_normal, in_axes=(0, 0, None))(u, mean, log_std)
+            box = jnp.clip(u, -1.0, 1.0)
+            s_next, bonus = step_each(worlds, value, now.s, box, jr.split(f_key, n))
+            a = jax.vmap(lambda u: f_tilde.split(u)[0])(box)
+            r = jax.vmap(reward)(now.s, a) + bonus
+            on = jax.vmap(goes_on, in_axes=(None, 0, 0, 0))(ends, now.s, a, s_next)
+            old = now.age + 1 >= H
+            fresh = old | (on == 0)
+            then = Rollouts(jnp.where(fresh[:, None], begin(begin_key), s_next), jnp.where(fresh, 0, now.age + 1))
+            return then, (now.s, u, log_prob, r, on, s_next, fresh)
+
+        rollouts, (s, u, log_prob, r, on, s_next, fresh) = jax.lax.scan(step, rollouts, jr.split(key, config.length))
+        v, v_next = jax.vmap(jax.vmap(value))(s), jax.vmap(jax.vmap(value))(s_next)
+        delta = r + config.gamma * on * v_next - v
+
+        def backward(after: Float[Array, " n"], now):
+            delta, fresh = now
+            advantage = delta + config.gamma * config.gae_lambda * jnp.where(fresh, 0.0, after)
+            return advantage, advantage
+
+        _, advantage = jax.lax.scan(backward, jnp.zeros(config.rollouts), (delta, fresh), reverse=True)
+        samples = Samples(s, u, log_prob, advantage, advantage + v)
+        return rollouts, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)
+
+    def loss(learner: SearchState, batch: Samples, weight: Float[Array, " b"]) -> Scalar:
+        policy, value = learner.policy, learner.value
+        count = jnp.sum(weight)
+        mean_of = lambda x: jnp.sum(jnp.where(weight > 0, x, 0.0)) / count  # noqa: E731
+        centred = batch.advantage - mean_of(batch.advantage)
+        advantage = centred / (jnp.sqrt(jnp.sum(weight * centred**2) / (count - 1)) + 1e-8)
+        mean, log_std = jax.vmap(policy.gaussian, out_axes=(0, None))(batch.s)
+        ratio = jnp.exp(jax.vmap(log_normal, in_axes=(0, 0, None))(batch.u, mean, log_std) - batch.log_prob)
+        clipped = jnp.clip(ratio, 1 - config.clip_range, 1 + config.clip_range)
+        gain = mean_of(jnp.minimum(advantage * ratio, advantage * clipped))
+        error = mean_of((jax.vmap(value)(batch.s) - batch.ret) ** 2)
+        entropy = jnp.sum(log_std + 0.5 + LOG_ROOT_2PI)
+        return -gain + config.vf_coef * error - config.ent_coef * entropy
+
+    minibatches = -(-config.n_steps // config.batch_size)
+    padded = minibatches * config.batch_size
+    weight = (jnp.arange(padded) < config.n_steps).astype(jnp.float32).reshape(minibatches, -1)
+
+    def iteration(carry, iteration_key: Key):
+        learner, opt_state, rollouts = carry
+        imagine_key, shuffle_key = jr.split(iteration_key)
+        rollouts, samples = imagine(learner.policy, learner.value, rollouts, imagine_key)
+
+        def epoch(carry, epoch_key: Key):
+            order = jnp.pad(jr.permutation(epoch_key, config.n_steps), (0, padded - config.n_steps))
+
+            def step(carry, now):
+                learner, opt_state = carry
+                rows, weight = now
+                batch = jax.tree.map(lambda x: x[rows], samples)
+                gradient = jax.grad(loss)(learner, batch, weight)
+                changes, opt_state = optimiser.update(without_units(gradient), opt_state)
+                return (eqx.apply_updates(learner, changes), opt_state), None
+
+            return jax.lax.scan(step, carry, (order.reshape(minibatches, -1), weight))[0], None
+
+        keys = jr.split(shuffle_key, config.n_epochs)
+        (learner, opt_state), _ = jax.lax.scan(epoch, (learner, opt_state), keys)
+        return (learner, opt_state, rollouts), None
+
+    begin_key, iterate_key, trial_key = jr.split(key, 3)
+    learner = SearchState(policy, value)
+    carry = (learner, optimiser.init(learner), Rollouts(begin(begin_key), jnp.zeros(config.rollouts)))
+    n = -(-config.total_timesteps // config.n_steps)
+    (learner, _, _), _ = jax.lax.scan(iteration, carry, jr.split(iterate_key, n))
+    trial = {"steps": config.trial_steps, "n": config.trial_starts}
+    everywhere = f_tilde.in_each_member()
+    report = report_of(trials(everywhere, learner.policy, reward, ends, starts.first, **trial, key=trial_key))
+    return learner, report
+
+
+def without_units(gradient: SearchState) -> SearchState:
+    """The gradient with that of scalers and scales set to zero: they are measured, not trained."""
+    units = lambda g: (g.policy.inputs, g.value.inputs, g.value.scale)  # noqa: E731
+    return eqx.tree_at(units, gradient, jax.tree.map(jnp.zeros_like, units(gradient)))

@@ -1,0 +1,59 @@
+"""PolicySearch: π and η together, eq. (6), by the method that the config names."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TypeAlias
+
+import jax
+import jax.random as jr
+
+from hiprl.control.gradient import GradientConfig, gradient_search, new_gradient
+from hiprl.control.imagined import Ends, SearchReport, SearchState, Starts
+from hiprl.control.ppo import PPOConfig, new_ppo, ppo_search
+from hiprl.data.trajectory_set import Trajectories
+from hiprl.hallucinated import Hallucinated
+from hiprl.models.network import state_scaler
+from hiprl.models.reward import EstimatedReward
+from hiprl.models.rows import RowDraw
+from hiprl.types import Key
+
+SearchConfig: TypeAlias = GradientConfig | PPOConfig
+SEEN_STATES = 8192  # as many as one search draws its starts from
+
+
+def new_search(p: int, size: int, config: SearchConfig, *, key: Key) -> SearchState:
+    """Where the first search begins: a policy of `size` outputs that does next to nothing."""
+    new = new_gradient if isinstance(config, GradientConfig) else new_ppo
+    return new(p, size, config, key=key)  # pyright: ignore[reportArgumentType]
+
+
+@partial(jax.jit, static_argnames=("config",))
+def search(
+    f_tilde: Hallucinated,
+    reward: EstimatedReward,
+    ends: Ends | None,
+    T: Trajectories,
+    state: SearchState,
+    config: SearchConfig,
+    *,
+    key: Key,
+) -> tuple[SearchState, SearchReport]:
+    """The policy, and its η, that is best in the hallucinated model: one compiled program.
+
+    Args:
+        f_tilde: the hallucinated model.
+        reward: r̂.
+        ends: when an imagined episode terminates; None for never.
+        T: trajectories whose states imagined rollouts start from.
+        state: where to start: the policy and value of an earlier search.
+        config: the method and its settings.
+    """
+    start_key, search_key = jr.split(key)
+    rows = T.transitions()
+    seen = rows.s[RowDraw.of(rows.mask)(start_key, (SEEN_STATES,))]
+    starts = Starts(seen, T.first_states(), state_scaler(T))
+    if isinstance(config, GradientConfig):
+        return gradient_search(f_tilde, reward, reward.unit, ends, starts, state, config, key=search_key)
+    H = T.rows.actions.shape[1]
+    return ppo_search(f_tilde, reward, ends, starts, state, config, H=H, key=search_key)

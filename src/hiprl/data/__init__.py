@@ -1,0 +1,1 @@
+"""What was seen and what was said: transitions, trajectories τ and their set T, preferences g and their set P."""

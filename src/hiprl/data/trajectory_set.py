@@ -1,0 +1,85 @@
+"""The set T of trajectories: a capacity, a count, and padding past the count."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+from jaxtyping import Array, Bool, Float, Int
+
+from hiprl.data.trajectory import Trajectory
+from hiprl.data.transition import Transitions
+from hiprl.types import Count, Key
+
+
+class Trajectories(eqx.Module):
+    """T, in the order of execution. Its shapes never change, so nothing recompiles as it grows."""
+
+    rows: Trajectory
+    """A stack of `capacity` trajectories."""
+    count: Count
+
+    @classmethod
+    def empty(cls, capacity: int, *, H: int, p: int, q: int) -> Trajectories:
+        """T = ∅ with room for `capacity` trajectories of at most `H` steps."""
+        return cls(
+            rows=Trajectory(
+                states=jnp.zeros((capacity, H + 1, p)),
+                actions=jnp.zeros((capacity, H, q)),
+                rewards=jnp.zeros((capacity, H)),
+                length=jnp.zeros(capacity, jnp.int32),
+                terminated=jnp.zeros(capacity, bool),
+            ),
+            count=jnp.zeros((), jnp.int32),
+        )
+
+    @property
+    def capacity(self) -> int:
+        return self.rows.length.shape[0]
+
+    @property
+    def filled(self) -> Bool[Array, " N"]:
+        """True for the rows that hold a trajectory."""
+        return jnp.arange(self.capacity) < self.count
+
+    @property
+    def last(self) -> Count:
+        """Index of the newest trajectory."""
+        return self.count - 1
+
+    def add(self, tau: Trajectory) -> Trajectories:
+        """T ∪ {τ}. The caller sees to it that there is room."""
+        rows = jax.tree.map(lambda all_, one: all_.at[self.count].set(one), self.rows, tau)
+        return Trajectories(rows, self.count + 1)
+
+    def get(self, i: Int[Array, ""] | int) -> Trajectory:
+        """Trajectory number `i`, from 0."""
+        return jax.tree.map(lambda all_: all_[i], self.rows)
+
+    def pick(self, *, key: Key) -> Count:
+        """Index of a trajectory drawn uniformly (Algorithm 1: τ ~ T)."""
+        return jr.randint(key, (), 0, self.count)
+
+    def transitions(self) -> Transitions:
+        """All steps of all trajectories in one batch of capacity * H rows, padding masked."""
+        per_trajectory = jax.vmap(Trajectory.transitions)(self.rows)
+        mask = per_trajectory.mask & self.filled[:, None]
+        flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), per_trajectory)
+        return eqx.tree_at(lambda rows: rows.mask, flat, mask.reshape(-1))
+
+    def seen(self) -> Bool[Array, "N H_plus_1"]:
+        """True for the states that were visited, the last one of each trajectory included."""
+        t = jnp.arange(self.rows.states.shape[1])
+        return self.filled[:, None] & (t <= self.rows.length[:, None])
+
+    def first_states(self) -> Float[Array, "N p"]:
+        """s_0 of each trajectory; rows past the count repeat the first one."""
+        return jnp.where(self.filled[:, None], self.rows.states[:, 0], self.rows.states[0, 0])
+
+    def box(self, *, margin: float) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
+        """Least and greatest of each entry of the states seen, widened by this share of their distance."""
+        seen, states = self.seen()[..., None], self.rows.states
+        low = jnp.min(jnp.where(seen, states, jnp.inf), axis=(0, 1))
+        high = jnp.max(jnp.where(seen, states, -jnp.inf), axis=(0, 1))
+        return low - margin * (high - low), high + margin * (high - low)

@@ -1,0 +1,125 @@
+"""EstDynamics(T): the ensemble fitted to all transitions seen so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import optax
+from jaxtyping import Array, Float, UInt32
+
+from hiprl.data.trajectory_set import Trajectories
+from hiprl.models.ensemble import Ensemble, Member
+from hiprl.models.fit import FitReport, fit
+from hiprl.models.network import Activation, Scaler
+from hiprl.models.rows import RowDraw
+from hiprl.types import Key, Scalar
+
+
+@dataclass(frozen=True, kw_only=True)
+class DynamicsConfig:
+    """How the dynamics ensemble is built and fitted."""
+
+    M: int = 5
+    """Members of the ensemble (paper: 5)."""
+    hidden: tuple[int, ...] = (128, 128, 128)
+    """Units of the hidden layers (paper: two layers of 32)."""
+    activation: Activation = "silu"
+    """Between layers (paper: relu)."""
+    learning_rate: float = 1e-3
+    """Of AdamW (paper: Adam, 1e-3)."""
+    weight_decay: float = 1e-4
+    """Of AdamW; 0 gives Adam."""
+    batch: int = 256
+    """Rows a member sees in one gradient step."""
+    cold_steps: int = 2000
+    """Most gradient steps of the first fit."""
+    warm_steps: int = 800
+    """Most gradient steps of each later fit, which starts where the last one ended."""
+    chunk: int = 100
+    """Gradient steps between two looks at the held-out loss."""
+    patience: int = 4
+    """Looks without a better held-out loss after which a fit stops."""
+    held_out: float = 0.1
+    """Share of the transitions that no member trains on."""
+    bootstrap: bool = True
+    """Whether each member weighs the transitions by Poisson(1) draws of its own (paper: no)."""
+
+
+class DynamicsState(eqx.Module):
+    """The ensemble, and the draw by which each member weighs each transition for the whole run."""
+
+    ensemble: Ensemble
+    bootstrap: UInt32[Array, "..."]
+    """Raw data of the key from which the weights are made again for every fit."""
+
+
+def new_dynamics(p: int, q: int, config: DynamicsConfig, *, key: Key) -> DynamicsState:
+    """An ensemble that knows nothing yet."""
+    net_key, bootstrap_key = jr.split(key)
+    ensemble = Ensemble.draw(p, q, M=config.M, hidden=config.hidden, activation=config.activation, key=net_key)
+    return DynamicsState(ensemble, jr.key_data(bootstrap_key))
+
+
+def nll(member: Member, s: Float[Array, " p"], a: Float[Array, " q"], step: Float[Array, " p"]) -> Scalar:
+    """Negative log likelihood of a standardised step s′ - s, summed over dimensions, less its constant."""
+    mean, log_var = member.standardised(s, a)
+    return 0.5 * jnp.sum((step - mean) ** 2 * jnp.exp(-log_var) + log_var)
+
+
+@partial(jax.jit, static_argnames=("config", "steps"))
+def estimate_dynamics(
+    T: Trajectories, state: DynamicsState, config: DynamicsConfig, *, steps: int, key: Key
+) -> tuple[DynamicsState, FitReport]:
+    """Fits the ensemble to T, from the weights it has, by at most `steps` gradient steps.
+
+    Source: HIP-RL Algorithm 1, EstDynamics; Appendix B.
+    """
+    rows = T.transitions()
+    inputs = Scaler.of(jnp.concatenate([rows.s, rows.a], axis=1), rows.mask)
+    scaler = Scaler.of(rows.s_next - rows.s, rows.mask)
+    stack = jax.vmap(Member.rescaled, in_axes=(0, None, None))(state.ensemble.stack, inputs, scaler)
+    targets = jax.vmap(scaler.down)(rows.s_next - rows.s)
+
+    weight_key, held_key = jr.split(jr.wrap_key_data(state.bootstrap))
+    n, M = rows.mask.shape[0], config.M
+    weights = jr.poisson(weight_key, 1.0, (M, n)) if config.bootstrap else jnp.ones((M, n))
+    held = jr.bernoulli(held_key, config.held_out, (n,))
+    held = held & (jnp.sum(rows.mask & held) > 0)  # nothing held out yet: judge by the training rows
+    train_draw = RowDraw.of(rows.mask & ~held)
+    held_draw = RowDraw.of(rows.mask & jnp.where(jnp.any(held), held, True))
+
+    net_of = lambda stack: stack.net  # the scalers are not trained  # noqa: E731
+
+    def member_loss(net, weight, idx):
+        member = Member(net, inputs, scaler)
+        loss = jax.vmap(nll, in_axes=(None, 0, 0, 0))(member, rows.s[idx], rows.a[idx], targets[idx])
+        return jnp.mean(weight[idx] * loss)
+
+    def train_loss(nets, step_key: Key) -> Scalar:
+        idx = train_draw(step_key, (M, config.batch))
+        return jnp.sum(jax.vmap(member_loss)(nets, weights.astype(jnp.float32), idx))
+
+    fit_key, judge_key = jr.split(key)
+    judged = held_draw(judge_key, (1024,))
+
+    def held_out_loss(nets) -> Scalar:
+        ones = jnp.ones(n)
+        return jnp.mean(jax.vmap(member_loss, in_axes=(0, None, None))(nets, ones, judged))
+
+    nets, report = fit(
+        net_of(stack),
+        train_loss,
+        held_out_loss,
+        optax.adamw(config.learning_rate, weight_decay=config.weight_decay),
+        chunk=config.chunk,
+        max_chunks=-(-steps // config.chunk),
+        patience=config.patience,
+        key=fit_key,
+    )
+    fitted = eqx.tree_at(net_of, stack, nets)
+    return DynamicsState(Ensemble(fitted), state.bootstrap), report

@@ -1,0 +1,75 @@
+"""When an episode terminates, learned from those that did, for worlds whose rule is not known."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import optax
+from jaxtyping import Array, Float
+
+from hiprl.data.trajectory_set import Trajectories
+from hiprl.models.fit import fit
+from hiprl.models.network import MLP, Scaler
+from hiprl.models.rows import RowDraw
+from hiprl.types import Action, Flag, Key, Scalar, State
+
+STEPS, CHUNK, BATCH = 600, 100, 256
+
+
+class Ending(eqx.Module):
+    """A classifier of (s, a, s′): does the episode terminate with this step?"""
+
+    net: MLP
+    inputs: Scaler
+    """Of (s, a, s′) together."""
+    seen: Flag
+    """Whether any episode has terminated yet. While none has, none is expected to."""
+
+    def logit(self, s: State, a: Action, s_next: State) -> Scalar:
+        """Log odds of termination, when ends and other steps are equally frequent."""
+        return self.net(self.inputs.down(jnp.concatenate([s, a, s_next])))[0]
+
+    def __call__(self, s: State, a: Action, s_next: State) -> Flag:
+        return self.seen & (self.logit(s, a, s_next) > 0)
+
+
+def new_ending(p: int, q: int, *, key: Key) -> Ending:
+    """A classifier that expects no end."""
+    n = 2 * p + q
+    net = MLP.draw(n, (64, 64), 1, activation="silu", key=key)
+    return Ending(net, Scaler.identity(n), jnp.asarray(False))
+
+
+@partial(jax.jit)
+def estimate_ending(T: Trajectories, ending: Ending, *, key: Key) -> Ending:
+    """Fits the classifier to T. Each minibatch holds as many ends as other steps, since ends are rare."""
+    rows = T.transitions()
+    x = jnp.concatenate([rows.s, rows.a, rows.s_next], axis=1)
+    inputs = Scaler.of(x, rows.mask)
+    net = ending.net.with_input_scaler(ending.inputs, inputs)
+    z = jax.vmap(inputs.down)(x)
+    ends, others = RowDraw.of(rows.mask & rows.terminated), RowDraw.of(rows.mask & ~rows.terminated)
+
+    def loss(net: MLP, key: Key) -> Scalar:
+        end_key, other_key = jr.split(key)
+        half = (BATCH // 2,)
+        at_end: Float[Array, " n"] = jax.vmap(net)(z[ends(end_key, half)])[:, 0]
+        before: Float[Array, " n"] = jax.vmap(net)(z[others(other_key, half)])[:, 0]
+        return jnp.mean(jax.nn.softplus(-at_end)) + jnp.mean(jax.nn.softplus(before))
+
+    fit_key, judge_key = jr.split(key)
+    net, _ = fit(
+        net,
+        loss,
+        lambda net: loss(net, judge_key),
+        optax.adamw(1e-3, weight_decay=1e-3),
+        chunk=CHUNK,
+        max_chunks=STEPS // CHUNK,
+        patience=STEPS,
+        key=fit_key,
+    )
+    return Ending(net, inputs, ends.count > 0)

@@ -1,0 +1,91 @@
+"""M Gaussian networks give μ, σ (epistemic) and the noise."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+from jaxtyping import Array, Float
+
+from hiprl.models.network import MLP, Activation, Scaler
+from hiprl.types import Action, Dynamics, Key, Prediction, State
+
+MIN_LOG_VAR, MAX_LOG_VAR = -10.0, 1.0  # of the standardised step s' - s
+
+
+def bounded(raw: Float[Array, " p"]) -> Float[Array, " p"]:
+    """A log variance kept softly between its bounds, so that neither a flat nor a sharp one runs away."""
+    upper = MAX_LOG_VAR - jax.nn.softplus(MAX_LOG_VAR - raw)
+    return MIN_LOG_VAR + jax.nn.softplus(upper - MIN_LOG_VAR)
+
+
+class Member(Dynamics):
+    """One Gaussian network: s, a to the mean and the noise of s′ - s. It is sure of itself: σ = 0."""
+
+    net: MLP
+    inputs: Scaler
+    """Of (s, a) together."""
+    steps: Scaler
+    """Of s′ - s."""
+
+    def standardised(self, s: State, a: Action) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
+        """Mean and log variance of s′ - s, in standard units."""
+        out = self.net(self.inputs.down(jnp.concatenate([s, a])))
+        mean, raw = jnp.split(out, 2)
+        return mean, bounded(raw)
+
+    def predict(self, s: State, a: Action) -> Prediction:
+        mean, log_var = self.standardised(s, a)
+        return Prediction(
+            mu=s + self.steps.up(mean),
+            sigma=jnp.zeros_like(s),
+            noise=self.steps.std * jnp.exp(0.5 * log_var),
+        )
+
+    def members(self) -> Dynamics:
+        return jax.tree.map(lambda x: x[None], self)
+
+    def rescaled(self, inputs: Scaler, steps: Scaler) -> Member:
+        """The same mean as a function of raw input and output, with other scalers."""
+        net = self.net.with_input_scaler(self.inputs, inputs).with_output_scaler(self.steps, steps)
+        return Member(net, inputs, steps)
+
+
+class Ensemble(Dynamics):
+    """M members, each with its own weights and its own bootstrap of the data.
+
+    σ is the spread of the members' means; their noise heads are the world's noise and no part of it.
+    Source: after Chua et al. (2018); HIP-RL Appendix B.
+    """
+
+    stack: Member
+    """Every leaf has a leading axis M."""
+
+    @classmethod
+    def draw(cls, p: int, q: int, *, M: int, hidden: tuple[int, ...], activation: Activation, key: Key) -> Ensemble:
+        """M members with weights of their own, which predict that nothing moves."""
+
+        def one(member_key: Key) -> Member:
+            net = MLP.draw(p + q, hidden, 2 * p, activation=activation, key=member_key)
+            return Member(net, Scaler.identity(p + q), Scaler.identity(p))
+
+        return cls(jax.vmap(one)(jr.split(key, M)))
+
+    @property
+    def M(self) -> int:
+        return self.stack.steps.mean.shape[0]
+
+    @property
+    def step_scale(self) -> Float[Array, " p"]:
+        """Spread of s′ - s over the data, the unit in which errors are compared across dimensions."""
+        return self.stack.steps.std[0]
+
+    def predict(self, s: State, a: Action) -> Prediction:
+        each = jax.vmap(Member.predict, in_axes=(0, None, None))(self.stack, s, a)
+        mu = jnp.mean(each.mu, axis=0)
+        var = jnp.sum((each.mu - mu) ** 2, axis=0) / (self.M - 1)
+        tiny = 1e-12 * self.step_scale**2  # keeps the gradient of the root finite where members agree
+        return Prediction(mu, jnp.sqrt(var + tiny), jnp.sqrt(jnp.mean(each.noise**2, axis=0)))
+
+    def members(self) -> Dynamics:
+        return self.stack

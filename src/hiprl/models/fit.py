@@ -1,0 +1,75 @@
+"""The one jitted minibatch loop, with early stopping on held-out data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import optax
+
+from hiprl.types import Count, Key, Scalar
+
+Params = TypeVar("Params")
+
+
+class FitReport(NamedTuple):
+    """How a fit went; the host looks at it and raises where it must."""
+
+    loss: Scalar
+    """Held-out loss of the parameters that were kept."""
+    steps: Count
+    """Gradient steps taken."""
+
+
+def fit(
+    params: Params,
+    train_loss: Callable[[Params, Key], Scalar],
+    held_out_loss: Callable[[Params], Scalar],
+    optimiser: optax.GradientTransformation,
+    *,
+    chunk: int,
+    max_chunks: int,
+    patience: int,
+    key: Key,
+) -> tuple[Params, FitReport]:
+    """Steps on `train_loss` (which draws its own minibatch), in chunks, until `held_out_loss` stops falling.
+
+    Args:
+        params: where to start. Every array in it is trained.
+        train_loss: loss on a minibatch drawn with the key it gets.
+        held_out_loss: judged after each chunk; the parameters with the least are kept.
+        optimiser: an optax transformation.
+        chunk: gradient steps between two looks at the held-out loss.
+        max_chunks: most chunks.
+        patience: chunks without a better held-out loss after which it stops.
+    """
+
+    def step(carry: tuple[Params, Any], step_key: Key):
+        params, opt_state = carry
+        gradient = jax.grad(train_loss)(params, step_key)
+        updates, opt_state = optimiser.update(gradient, opt_state, params)  # pyright: ignore[reportArgumentType]
+        return (optax.apply_updates(params, updates), opt_state), None  # pyright: ignore[reportArgumentType]
+
+    def go_on(state: Any):
+        _, _, _, _, n, since_best, _ = state
+        return (n < max_chunks) & (since_best < patience)
+
+    def one_chunk(state: Any):
+        params, opt_state, best, best_loss, n, since_best, key = state
+        key, chunk_key = jr.split(key)
+        (params, opt_state), _ = jax.lax.scan(step, (params, opt_state), jr.split(chunk_key, chunk))
+        loss = held_out_loss(params)
+        better = loss < best_loss
+        best = jax.tree.map(lambda new, old: jnp.where(better, new, old), params, best)
+        since_best = jnp.where(better, 0, since_best + 1)
+        return params, opt_state, best, jnp.where(better, loss, best_loss), n + 1, since_best, key
+
+    zero = jnp.zeros((), jnp.int32)
+    opt_state = optimiser.init(eqx.filter(params, eqx.is_array))
+    start = (params, opt_state, params, jnp.asarray(jnp.inf), zero, zero, key)
+    _, _, best, best_loss, n, _, _ = jax.lax.while_loop(go_on, one_chunk, start)
+    return best, FitReport(loss=best_loss, steps=n * chunk)

@@ -1,0 +1,108 @@
+"""One fully connected network, and the standardising of what goes in and comes out."""
+
+from __future__ import annotations
+
+from typing import Literal, TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+from jaxtyping import Array, Bool, Float
+
+from hiprl.data.trajectory_set import Trajectories
+from hiprl.types import Key
+
+Activation: TypeAlias = Literal["relu", "silu", "elu", "tanh"]
+
+
+class Scaler(eqx.Module):
+    """Maps a vector to zero mean and unit spread, and back."""
+
+    mean: Float[Array, " n"]
+    std: Float[Array, " n"]
+
+    @classmethod
+    def identity(cls, n: int) -> Scaler:
+        return cls(jnp.zeros(n), jnp.ones(n))
+
+    @classmethod
+    def of(cls, x: Float[Array, "rows n"], mask: Bool[Array, " rows"]) -> Scaler:
+        """Mean and spread of the masked rows; an entry that never varies keeps its unit."""
+        count = jnp.maximum(jnp.sum(mask), 1)
+        mean = jnp.sum(jnp.where(mask[:, None], x, 0.0), axis=0) / count
+        var = jnp.sum(jnp.where(mask[:, None], (x - mean) ** 2, 0.0), axis=0) / count
+        std = jnp.sqrt(var)
+        return cls(mean, jnp.where(std > 1e-6, std, 1.0))
+
+    def down(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
+        """To standard units."""
+        return (x - self.mean) / self.std
+
+    def up(self, z: Float[Array, " n"]) -> Float[Array, " n"]:
+        """To the units of the data."""
+        return z * self.std + self.mean
+
+
+def state_scaler(T: Trajectories) -> Scaler:
+    """Mean and spread of the states in which actions were taken."""
+    rows = T.transitions()
+    return Scaler.of(rows.s, rows.mask)
+
+
+class MLP(eqx.Module):
+    """Layers of weights and biases with one activation between them."""
+
+    weights: tuple[Float[Array, "i o"], ...]
+    biases: tuple[Float[Array, " o"], ...]
+    activation: Activation = eqx.field(static=True)
+
+    @classmethod
+    def draw(
+        cls,
+        in_size: int,
+        hidden: tuple[int, ...],
+        out_size: int,
+        *,
+        activation: Activation,
+        last_scale: float = 1.0,
+        key: Key,
+    ) -> MLP:
+        """Weights N(0, 1 / fan-in), those of the last layer times `last_scale`; biases 0."""
+        sizes = (in_size, *hidden, out_size)
+        scales = [1.0] * len(hidden) + [last_scale]
+        keys = jr.split(key, len(scales))
+        weights = tuple(
+            scale * jr.normal(k, (i, o)) / jnp.sqrt(i)
+            for k, i, o, scale in zip(keys, sizes[:-1], sizes[1:], scales, strict=True)
+        )
+        return cls(weights, tuple(jnp.zeros(o) for o in sizes[1:]), activation)
+
+    def __call__(self, x: Float[Array, " i"]) -> Float[Array, " o"]:
+        act = getattr(jax.nn, self.activation)
+        for w, b in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            x = act(x @ w + b)
+        return x @ self.weights[-1] + self.biases[-1]
+
+    def with_input_scaler(self, old: Scaler, new: Scaler) -> MLP:
+        """The same function of raw input, when its input will be standardised by `new` in place of `old`."""
+        w, b = self.weights[0], self.biases[0]
+        return eqx.tree_at(
+            lambda net: (net.weights[0], net.biases[0]),
+            self,
+            (w * (new.std / old.std)[:, None], b + ((new.mean - old.mean) / old.std) @ w),
+        )
+
+    def with_output_scaler(self, old: Scaler, new: Scaler) -> MLP:
+        """The same function to raw output, for the first entries of the output that `old` and `new` scale."""
+        n = old.mean.shape[0]
+        w, b = self.weights[-1], self.biases[-1]
+        ratio = old.std / new.std
+        return eqx.tree_at(
+            lambda net: (net.weights[-1], net.biases[-1]),
+            self,
+            (
+                w.at[:, :n].multiply(ratio),
+                b.at[:n].set(b[:n] * ratio + (old.mean - new.mean) / new.std),
+            ),
+        )

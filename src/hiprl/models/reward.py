@@ -1,0 +1,185 @@
+"""EstReward(P, T), eq. (7): the reward learned from preferences, and the spread σ_g of a predicted one.
+
+The default is exact: with g the difference of two sums of r(s, a) = φ(s, a)ᵀθ and θ ~ N(0, P), the posterior has a
+closed form, which is that of a Gaussian process observed through sums over trajectories. At most a few dozen answers
+come in, so a refit takes milliseconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from hiprl.data.preference import Preferences
+from hiprl.data.trajectory import Trajectory
+from hiprl.data.trajectory_set import Trajectories
+from hiprl.models.features import AdditiveFeatures, raw_features
+from hiprl.models.network import Scaler
+from hiprl.types import Action, Reward, Scalar, State
+
+BOX_MARGIN = 0.25  # how far past the seen range a coordinate, and the reward itself, may count
+
+
+class Gap(NamedTuple):
+    """A predicted preference g(τ, τ′; r̂)."""
+
+    mean: Scalar
+    sigma: Scalar
+    """σ_g: the spread of the belief about it."""
+
+
+class EstimatedReward(Reward):
+    """A learned r̂ that also says how sure it is of a preference."""
+
+    unit: Scalar
+    """Root mean square of r̂ over the steps seen: the scale of a reward."""
+
+    def gap(self, tau: Trajectory, other: Trajectory) -> Gap:
+        """g(τ, τ′; r̂) and its σ_g, in the judge's unit."""
+        raise NotImplementedError
+
+    def returns(self, T: Trajectories) -> Float[Array, " N"]:
+        """Sum of r̂ along each trajectory of T; minus infinity past the count."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdditiveConfig:
+    """How the closed-form reward is estimated."""
+
+    smooth: tuple[float, ...] = (0.01, 0.1, 1.0, 10.0, 100.0)
+    """Candidates for the variance of the smooth part over that of the linear part."""
+    noise: tuple[float, ...] = (1e-6, 1e-4, 1e-2)
+    """Candidates for the variance of an answer's error, over the variance that the prior gives an answer."""
+
+
+class AdditiveReward(EstimatedReward):
+    """r̂(s, a) = φ(s, a)ᵀm with the posterior of θ behind it, kept in the seen range plus a quarter."""
+
+    features: AdditiveFeatures
+    mean: Float[Array, " D"]
+    """Posterior mean m of the weights."""
+    prior: Float[Array, " D"]
+    """Prior variance of the weights (P is diagonal)."""
+    root: Float[Array, "K D"]
+    """L⁻¹ΨP, so that S = P - rootᵀ root."""
+    low: Scalar
+    high: Scalar
+    loo: Float[Array, " K"]
+    """Leave-one-out error of each answer over its own σ; 0 past the count."""
+
+    def __call__(self, s: State, a: Action) -> Scalar:
+        return jnp.clip(self.features(s, a) @ self.mean, self.low, self.high)
+
+    def gap(self, tau: Trajectory, other: Trajectory) -> Gap:
+        psi = summed(self.features, tau) - summed(self.features, other)
+        var = jnp.sum(psi**2 * self.prior) - jnp.sum((self.root @ psi) ** 2)
+        return Gap(psi @ self.mean, jnp.sqrt(jnp.maximum(var, 0.0)))
+
+    def returns(self, T: Trajectories) -> Float[Array, " N"]:
+        sums = jax.vmap(summed, in_axes=(None, 0))(self.features, T.rows) @ self.mean
+        return jnp.where(T.filled, sums, -jnp.inf)
+
+
+def summed(features: AdditiveFeatures, tau: Trajectory) -> Float[Array, " D"]:
+    """Φ(τ): the sum of φ over the executed steps. Sums, not means, so that lengths count."""
+    rows = tau.transitions()
+    phi = jax.vmap(features)(rows.s, rows.a)
+    return jnp.sum(jnp.where(rows.mask[:, None], phi, 0.0), axis=0)
+
+
+def features_of(T: Trajectories) -> AdditiveFeatures:
+    """Features standardised over T, with the box of what T has seen, a margin added."""
+    rows = T.transitions()
+    x = jnp.concatenate([rows.s, rows.a], axis=1)
+    scaler = Scaler.of(x, rows.mask)
+    z = jax.vmap(scaler.down)(x)
+    low = jnp.min(jnp.where(rows.mask[:, None], z, jnp.inf), axis=0)
+    high = jnp.max(jnp.where(rows.mask[:, None], z, -jnp.inf), axis=0)
+    margin = BOX_MARGIN * (high - low)
+    raw = jnp.where(rows.mask[:, None], jax.vmap(raw_features)(z), 0.0)
+    centre = (jnp.sum(raw, axis=0) / jnp.maximum(jnp.sum(rows.mask), 1)).at[0].set(0.0)
+    return AdditiveFeatures(scaler, low - margin, high + margin, centre)
+
+
+def typical_size(reward: Reward, T: Trajectories) -> Scalar:
+    """Root mean square of r̂ over the steps of T; 1 where r̂ is zero everywhere."""
+    rows = T.transitions()
+    r = jax.vmap(reward)(rows.s, rows.a)
+    square = jnp.sum(jnp.where(rows.mask, r**2, 0.0)) / jnp.maximum(jnp.sum(rows.mask), 1)
+    return jnp.where(square > 0, jnp.sqrt(square), 1.0)
+
+
+@jax.jit
+def _evidence(T: Trajectories, P: Preferences):
+    """Features of T, Ψ of the answers in P, and φ of all steps."""
+    features = features_of(T)
+    Phi = jax.vmap(summed, in_axes=(None, 0))(features, T.rows)
+    Psi = jnp.where(P.filled[:, None], Phi[P.first] - Phi[P.second], 0.0)
+    return features, Psi
+
+
+def estimate_additive_reward(P: Preferences, T: Trajectories, config: AdditiveConfig) -> AdditiveReward:
+    """Posterior of the additive reward given all answers, its scales chosen by marginal likelihood.
+
+    Source: HIP-RL eq. (7) and Theorem 4.3; the posterior of a linear model observed through sums.
+    """
+    features, Psi = _evidence(T, P)
+    grid = jnp.asarray([(s, n) for s in config.smooth for n in config.noise])
+    with jax.enable_x64(True):  # Cholesky of nearly dependent rows: answers are almost free of noise
+        posterior = _posterior(
+            jnp.asarray(Psi, jnp.float64),
+            jnp.asarray(P.g, jnp.float64),
+            P.filled,
+            jax.vmap(features.prior)(jnp.ones(len(grid)), grid[:, 0]).astype(jnp.float64),
+            jnp.asarray(grid[:, 1], jnp.float64),
+        )
+        posterior = jax.tree.map(lambda x: x.astype(jnp.float32), posterior)
+    return _additive_reward(T, features, *posterior)
+
+
+@jax.jit
+def _posterior(
+    Psi: Float[Array, "K D"],
+    g: Float[Array, " K"],
+    filled: Bool[Array, " K"],
+    priors: Float[Array, "G D"],
+    noises: Float[Array, " G"],
+):
+    """Mean, prior variance, root and leave-one-out errors for the candidate of greatest marginal likelihood."""
+    n = jnp.maximum(jnp.sum(filled), 1)
+
+    def candidate(prior: Float[Array, " D"], noise: Float[Array, ""]):
+        K = (Psi * prior) @ Psi.T
+        level = jnp.where(jnp.trace(K) > 0, jnp.trace(K) / n, 1.0)  # what the prior expects of g²
+        K = K + jnp.diag(jnp.where(filled, noise * level, 1.0))
+        L = jnp.linalg.cholesky(K)
+        G_g = jax.scipy.linalg.cho_solve((L, True), g)
+        scale = jnp.maximum(g @ G_g / n, 1e-12)  # the overall variance, at its own optimum
+        log_det = 2 * jnp.sum(jnp.where(filled, jnp.log(jnp.diag(L)), 0.0))
+        return -0.5 * (n * jnp.log(scale) + log_det), (L, G_g, scale)
+
+    score, (L, G_g, scale) = jax.vmap(candidate)(priors, noises)
+    best = jnp.argmax(score)
+    L, G_g, scale, prior = L[best], G_g[best], scale[best], priors[best]
+    half = jax.scipy.linalg.solve_triangular(L, Psi * prior, lower=True)
+    inverse_diag = jnp.sum(jax.scipy.linalg.solve_triangular(L, jnp.eye(L.shape[0]), lower=True) ** 2, axis=0)
+    loo = jnp.where(filled, G_g / jnp.sqrt(inverse_diag * scale), 0.0)
+    return prior * (Psi.T @ G_g), prior * scale, half * jnp.sqrt(scale), loo
+
+
+@jax.jit
+def _additive_reward(T: Trajectories, features, mean, prior, root, loo) -> AdditiveReward:
+    """The posterior with the range of r̂ over the steps of T."""
+    rows = T.transitions()
+    r = jax.vmap(lambda s, a: features(s, a) @ mean)(rows.s, rows.a)
+    low = jnp.min(jnp.where(rows.mask, r, jnp.inf))
+    high = jnp.max(jnp.where(rows.mask, r, -jnp.inf))
+    margin = BOX_MARGIN * (high - low)
+    reward = AdditiveReward(jnp.ones(()), features, mean, prior, root, low - margin, high + margin, loo)
+    return eqx.tree_at(lambda r: r.unit, reward, typical_size(reward, T))

@@ -1,0 +1,239 @@
+"""Takes a run from the store, does its episodes, writes them back.
+
+What an episode leaves behind is written in two strokes: the question before the judge is asked, and the facts with a
+checkpoint after the models have learned. A run that is killed in between does its unfinished episode again with the
+same draws, finds its question in the store, and takes the answer from there if it has come.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+
+from hiprl.algorithm import Question, Run, Scores, begin, best_actor, learn, nothing_known, propose, scored
+from hiprl.config import Config
+from hiprl.errors import FitDiverged, InputError, JudgeError
+from hiprl.evaluate import episodes, true_returns
+from hiprl.feedback.judges import Answer, checked
+from hiprl.models.calibration import rollout_errors
+from hiprl.spec import from_plain, to_plain, versions
+from hiprl.store.arrays import pack, unpack
+from hiprl.store.store import Store
+from hiprl.types import Actor, Key
+from hiprl.world.task import World
+
+Facts: TypeAlias = dict[str, Any]
+"""What is told of an episode or of a run: plain values, None where a number is not known."""
+Watch: TypeAlias = Callable[[Facts], None]
+"""Called with the facts of each finished episode."""
+
+HORIZONS = (1, 5, 20, 50)  # of the k-step error of the dynamics model
+EVALUATION = 1 << 30  # folded into the run's key for the final evaluation; no run has as many episodes
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSpec:
+    """What a run is to be."""
+
+    seed: int
+    config: Config
+    judge: str
+    """Its name, for the record; `custom` for a function."""
+    eval_episodes: int = 10
+    """Episodes over which the final policy is reported."""
+
+
+def start(store: Store, world: World, spec: RunSpec) -> str:
+    """Writes a new run into the store, and gives its id. Nothing is executed yet."""
+    return store.add_run(
+        world.name,
+        spec.seed,
+        {
+            "env": world.spec(),
+            "horizon": world.H,
+            "judge": spec.judge,
+            "eval_episodes": spec.eval_episodes,
+            "config": to_plain(spec.config),
+        },
+        versions(),
+    )
+
+
+def spec_of(store: Store, run_id: str) -> RunSpec:
+    """What a run in the store was to be."""
+    row = store.run(run_id)
+    return RunSpec(
+        seed=row.seed,
+        config=from_plain(row.spec["config"]),
+        judge=row.spec["judge"],
+        eval_episodes=row.spec["eval_episodes"],
+    )
+
+
+def carry_on(store: Store, run_id: str, world: World, answer: Answer, *, watch: Watch = lambda facts: None) -> Facts:
+    """Does the episodes that a run still lacks, evaluates it, and gives its summary.
+
+    Raises:
+        InputError: the run is finished, or another trainer is at it.
+        JudgeError: the judge gave no answer; the question stays open.
+        WorldError: the environment broke.
+        FitDiverged: a model's loss is not finite.
+    """
+    if store.final(run_id) is not None:
+        raise InputError(
+            f"run {run_id} is finished; only a run that has episodes left can go on. "
+            f"Look at it with `hiprl show {run_id}`, or start a new one with `hiprl train`."
+        )
+    spec = spec_of(store, run_id)
+    with store.lease(run_id) as lease:
+        key = jr.key(spec.seed)
+        run = latest(store, run_id, world, spec)
+        while int(run.k) < spec.config.comparisons:
+            run = one_episode(store, run_id, run, world, spec.config, answer, watch, key=key)
+            lease.renew()
+        return conclude(store, run_id, run, world, spec, key=key)
+
+
+def latest(store: Store, run_id: str, world: World, spec: RunSpec) -> Run:
+    """The run as its last finished episode left it; a new one has executed τ_0."""
+    key = jr.key(spec.seed)
+    saved = store.checkpoint(run_id)
+    if saved is not None:
+        blank = jax.eval_shape(partial(nothing_known, world.p, world.q, world.H, spec.config), key=key)
+        return unpack(saved[1], blank)
+    run = begin(world, spec.config, key=key)
+    store.add_trajectory(run_id, 0, run.T.get(0), "random")
+    return run
+
+
+def one_episode(
+    store: Store, run_id: str, run: Run, world: World, config: Config, answer: Answer, watch: Watch, *, key: Key
+) -> Run:
+    """Episode k of Algorithm 1, with what it leaves in the store."""
+    k, began = int(run.k) + 1, time.perf_counter()
+    propose_key, ask_key, learn_key = jr.split(jr.fold_in(key, k), 3)
+    question = propose(run, world, config, key=propose_key)
+    if question.searched and not question.report.finite:
+        raise FitDiverged(
+            f"the policy search of episode {k} gave numbers that are not finite; imagined returns must be finite. "
+            "The run is stored up to the episode before: try a smaller learning rate, or another seed."
+        )
+    new, other = int(run.T.count), int(question.other)
+    store.open_question(run_id, k, new, question.tau, "policy" if question.searched else "random", new, other)
+    proposed = time.perf_counter()
+    g = asked(store, run_id, k, run, question, answer, key=ask_key)
+    answered = time.perf_counter()
+    after = learn(run, question, g, world, config, key=learn_key)
+    jax.block_until_ready(after)
+    facts = facts_of(run, question, g, after, config)
+    facts["seconds"] = {
+        "propose": proposed - began,
+        "judge": answered - proposed,
+        "learn": time.perf_counter() - answered,
+    }
+    store.finish_episode(run_id, k, facts, pack(after))
+    watch(facts)
+    return after
+
+
+def asked(store: Store, run_id: str, k: int, run: Run, question: Question, answer: Answer, *, key: Key) -> float:
+    """The answer to episode k's question: from the store if it is there, from the judge if not."""
+    g = store.answer_of(run_id, k)
+    if g is None:
+        try:
+            g = checked(answer, question.tau, run.T.get(question.other), key=key)
+        except JudgeError as e:
+            raise JudgeError(f"{e} Go on with `hiprl resume {run_id}`.") from e
+        store.answer(run_id, k, g, "rule")
+    return g
+
+
+def facts_of(run: Run, question: Question, g: float, after: Run, config: Config) -> Facts:
+    """What is told of an episode. True returns are for the reader; nothing that learns sees them."""
+    scores: Scores = scored(run, question, jnp.asarray(g), config)
+    returns = after.reward.returns(after.T)
+    facts = {
+        "k": int(after.k),
+        "comparisons": int(after.k),
+        "env_steps": int(jnp.sum(jnp.where(after.T.filled, after.T.rows.length, 0))),
+        "length": int(question.tau.length),
+        "true_return": float(question.tau.true_return),
+        "g": g,
+        "g_predicted": float(scores.predicted.mean),
+        "sigma_g": float(scores.predicted.sigma),
+        "alpha": float(after.calibration.alpha),
+        "return_by_reward": float(returns[after.T.last]),
+        "searched": question.searched,
+    }
+    if question.searched:
+        errors = rollout_errors(run.dynamics.ensemble, question.tau, HORIZONS)
+        facts |= {
+            "imagined": float(question.report.imagined),
+            "imagined_worst": float(question.report.worst),
+            "executed": float(scores.executed),
+            "overpromised": bool(scores.overpromised),
+            "beta": float(jnp.mean(after.calibration.beta)),
+            "kappa": float(after.calibration.kappa),
+            "deviation": float(scores.errors.deviation),
+            "relative_error": float(scores.errors.relative),
+            "coverage": float(scores.errors.coverage),
+            "rollout_errors": dict(zip(map(str, HORIZONS), map(float, errors), strict=True)),
+            "best_trajectory": int(after.archive.best(returns)),
+        }
+    return finite_or_none(facts)
+
+
+def finite_or_none(x: Any) -> Any:
+    """The same with None for each number that is not finite, which JSON has no word for."""
+    if isinstance(x, dict):
+        return {name: finite_or_none(value) for name, value in x.items()}
+    return None if isinstance(x, float) and not math.isfinite(x) else x
+
+
+def conclude(store: Store, run_id: str, run: Run, world: World, spec: RunSpec, *, key: Key) -> Facts:
+    """Evaluates the policy whose executed trajectory the newest r̂ ranks best, and closes the run."""
+    actor = best_actor(run, world, spec.config)
+    taus = episodes(world, actor, spec.eval_episodes, key=jr.fold_in(key, EVALUATION))
+    returns = true_returns(taus)
+    known = bool(jnp.all(jnp.isfinite(returns)))
+    facts = store.episodes(run_id)
+    summary = {
+        "run": run_id,
+        "env": world.name,
+        "seed": spec.seed,
+        "comparisons": int(run.k),
+        "env_steps": facts[-1][1]["env_steps"],
+        "return_mean": float(returns.mean()) if known else None,
+        "return_std": float(returns.std()) if known else None,
+        "eval_episodes": spec.eval_episodes,
+        "wall_seconds": sum(sum(episode["seconds"].values()) for _, episode in facts),
+        "store": store.name,
+    }
+    store.finish(run_id, summary, pack(actor))
+    return summary
+
+
+def actor_of(store: Store, run_id: str, world: World) -> Actor:
+    """The policy of a finished run, or the best one so far of a run that is not."""
+    spec = spec_of(store, run_id)
+    shape = partial(nothing_known, world.p, world.q, world.H, spec.config)
+    blank = jax.eval_shape(shape, key=jr.key(0))
+    like = jax.eval_shape(partial(best_actor, world=world, config=spec.config), blank)
+    saved = store.policy(run_id)
+    if saved is not None:
+        return unpack(saved, like)
+    checkpoint = store.checkpoint(run_id)
+    if checkpoint is None:
+        raise InputError(
+            f"run {run_id} has not finished an episode yet; a policy exists after the first. "
+            f"Let it go on with `hiprl resume {run_id}`."
+        )
+    return best_actor(unpack(checkpoint[1], blank), world, spec.config)

@@ -1,0 +1,45 @@
+"""A run as a row of plain values: enough to do it again."""
+
+from __future__ import annotations
+
+import dataclasses
+import platform
+from collections.abc import Mapping
+from importlib.metadata import version
+from typing import Any, TypeVar
+
+from hiprl.config import Config
+from hiprl.control.gradient import GradientConfig
+from hiprl.control.plan import PlanConfig
+from hiprl.control.ppo import PPOConfig
+from hiprl.models.dynamics import DynamicsConfig
+from hiprl.models.reward import AdditiveConfig
+from hiprl.models.reward_network import NetworkConfig
+
+_PARTS = {
+    part.__name__: part
+    for part in (Config, GradientConfig, PPOConfig, PlanConfig, DynamicsConfig, AdditiveConfig, NetworkConfig)
+}
+Part = TypeVar("Part")
+
+
+def to_plain(config: Any) -> Any:
+    """A config as dictionaries, lists and numbers, each part with its name."""
+    if dataclasses.is_dataclass(config):
+        fields = {field.name: to_plain(getattr(config, field.name)) for field in dataclasses.fields(config)}
+        return {"part": type(config).__name__, **fields}
+    return list(config) if isinstance(config, tuple) else config
+
+
+def from_plain(plain: Any) -> Any:
+    """The config that `to_plain` was given."""
+    if isinstance(plain, Mapping):
+        part = _PARTS[plain["part"]]
+        return part(**{name: from_plain(value) for name, value in plain.items() if name != "part"})
+    return tuple(plain) if isinstance(plain, list) else plain
+
+
+def versions() -> dict[str, str]:
+    """Of everything that a draw or a sum depends on."""
+    names = ("hiprl", "jax", "jaxlib", "equinox", "optax", "numpy", "gymnasium", "mujoco")
+    return {"python": platform.python_version(), **{name: version(name) for name in names}}

@@ -1,0 +1,1 @@
+"""Runs, trajectories, questions, answers and checkpoints, where trainers and pages meet."""

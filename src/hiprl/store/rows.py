@@ -1,0 +1,144 @@
+"""What the store gives back: one frozen class a kind of row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+
+from hiprl.store.arrays import array_from_bytes, array_to_bytes
+
+Kind: TypeAlias = Literal["random", "policy"]
+"""How a trajectory came about: by random actions before the first episode, or by the episode's policy."""
+
+
+@runtime_checkable
+class Executed(Protocol):
+    """What a trajectory has: `hiprl.data`'s, known by its shape as JAX takes a second to import, or a row."""
+
+    @property
+    def states(self) -> Any: ...
+    @property
+    def actions(self) -> Any: ...
+    @property
+    def rewards(self) -> Any: ...
+    @property
+    def length(self) -> Any: ...
+    @property
+    def terminated(self) -> Any: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRow:
+    """A run as it was begun: enough to do it again."""
+
+    id: str
+    created_at: datetime
+    env: str
+    seed: int
+    spec: dict[str, Any]
+    """Whatever else was chosen: preset, config, judge, horizon."""
+    versions: dict[str, str]
+    """Of hiprl, Python and the libraries that draws depend on."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrajectoryRow:
+    """A trajectory τ as it was executed, without padding, in NumPy arrays."""
+
+    number: int
+    """Its index in T."""
+    kind: Kind
+    states: np.ndarray
+    """(length + 1, p)"""
+    actions: np.ndarray
+    """(length, q), each entry in [-1, 1]."""
+    rewards: np.ndarray
+    """(length,): what the environment paid, NaN where nothing. For scripted judges and reports only."""
+    length: int
+    terminated: bool
+
+    @classmethod
+    def of(cls, tau: Executed, *, number: int, kind: Kind) -> TrajectoryRow:
+        """A trajectory as a row; its padding is dropped."""
+        n = int(tau.length)
+        return cls(
+            number=number,
+            kind=kind,
+            states=np.asarray(tau.states)[: n + 1],
+            actions=np.asarray(tau.actions)[:n],
+            rewards=np.asarray(tau.rewards)[:n],
+            length=n,
+            terminated=bool(tau.terminated),
+        )
+
+    @classmethod
+    def read(cls, row: Any) -> TrajectoryRow:
+        """The trajectory in a row of the table."""
+        return cls(
+            number=row.number,
+            kind=row.kind,
+            states=array_from_bytes(row.states),
+            actions=array_from_bytes(row.actions),
+            rewards=array_from_bytes(row.rewards),
+            length=row.length,
+            terminated=row.terminated,
+        )
+
+    def values(self) -> dict[str, Any]:
+        """Column to value."""
+        return {
+            "number": self.number,
+            "kind": self.kind,
+            "states": array_to_bytes(self.states),
+            "actions": array_to_bytes(self.actions),
+            "rewards": array_to_bytes(self.rewards),
+            "length": self.length,
+            "terminated": self.terminated,
+        }
+
+    def differs_from(self, other: TrajectoryRow) -> str | None:
+        """The first place where the two are not the same bit for bit, in words; None if there is none."""
+        for name in ("states", "actions", "rewards"):
+            mine, others = getattr(self, name), getattr(other, name)
+            if mine.dtype != others.dtype or mine.shape[1:] != others.shape[1:]:
+                kinds = f"{mine.dtype}{list(mine.shape)} and {others.dtype}{list(others.shape)}"
+                return f"its {name} are {kinds}"
+            for t, (one, another) in enumerate(zip(mine, others, strict=False)):
+                if one.tobytes() != another.tobytes():
+                    return f"its {name} differ from step {t} on"
+        for name in ("length", "terminated", "kind"):
+            mine, others = getattr(self, name), getattr(other, name)
+            if mine != others:
+                return f"its {name} is {mine} and {others}"
+        return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuestionRow:
+    """Which of two trajectories is better? Asked in episode k."""
+
+    id: int
+    run_id: str
+    k: int
+    first: int
+    """Number of a trajectory of the run."""
+    second: int
+    created_at: datetime
+    g: float | None
+    """The newest answer; > 0 means that the first one is better. None while it is open."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnswerRow:
+    """What a judge said; a later one for the same k corrects it."""
+
+    k: int
+    g: float
+    """By how much the question's first trajectory is better than its second."""
+    judge: str
+    swapped: bool
+    """The judge was shown the second one first (g still speaks of the question's own order)."""
+    created_at: datetime

@@ -1,0 +1,307 @@
+"""Opens a store; adds and looks up runs, trajectories, questions, answers, episodes and checkpoints."""
+
+from __future__ import annotations
+
+import math
+import re
+import secrets
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+
+from hiprl.errors import InputError
+from hiprl.store.engine import Database, connect
+from hiprl.store.lease import Lease, Owner, hold
+from hiprl.store.migrate import bring_up_to_date
+from hiprl.store.once import add_episode, add_final, add_question, add_trajectory, lock_run, refuse_run
+from hiprl.store.rows import AnswerRow, Executed, Kind, QuestionRow, RunRow, TrajectoryRow
+from hiprl.store.schema import answers, checkpoints, episodes, finals, questions, runs, trajectories
+
+_LONGEST = 2**63 - 1  # of an integer in either database
+
+
+def open_store(where: str | Path, *, create: bool = True, busy_seconds: float = 10.0) -> Store:
+    """The store at a path (SQLite) or an address (PostgreSQL), made if there is none, migrated if it is old.
+
+    Args:
+        where: a file, or `postgresql+psycopg://user:password@host/database`.
+        create: False refuses what is not yet a store.
+        busy_seconds: how long to wait while another process writes.
+
+    Raises:
+        InputError: the path or address leads nowhere.
+        StoreError: it is no store of ours, or of a newer version, or cannot be used.
+    """
+    database = connect(where, create=create, busy_seconds=busy_seconds)
+    try:
+        bring_up_to_date(database, create=create)
+    except BaseException:
+        database.engine.dispose()
+        raise
+    return Store(database)
+
+
+class Store:
+    """Runs and all that belongs to them. Threads may share one; each method is one transaction.
+
+    Whatever is added twice (by a run that is resumed) must be the same bit for bit, and is stored once. All
+    methods raise StoreError if the database cannot be used, and those that add InputError if there is no such
+    run.
+    """
+
+    def __init__(self, database: Database):
+        self._database = database
+
+    @property
+    def name(self) -> str:
+        """Its path or address, without any password."""
+        return self._database.name
+
+    def close(self) -> None:
+        """Close all connections."""
+        self._database.engine.dispose()
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # Runs
+
+    def add_run(self, env: str, seed: int, spec: Mapping[str, Any], versions: Mapping[str, str]) -> str:
+        """A new run's id, such as `halfcheetah-7f3a`. The arguments must be enough to do the run again.
+
+        Raises:
+            InputError: the seed does not fit into 64 bits.
+        """
+        if not -_LONGEST <= seed <= _LONGEST:
+            raise InputError(f"got the seed {seed}; it must fit into 64 bits. Take one such as {seed % 2**31}.")
+        name = re.sub(r"[^a-z0-9]+", "-", re.sub(r"-v\d+$", "", env.split("/")[-1]).lower()).strip("-") or "run"
+        with self._database.writing() as connection:
+            run_id = f"{name}-{secrets.token_hex(2)}"
+            while connection.execute(sa.select(runs.c.id).where(runs.c.id == run_id)).first():
+                run_id = f"{name}-{secrets.token_hex(4)}"
+            row = {"env": env, "seed": seed, "spec": dict(spec), "versions": dict(versions)}
+            connection.execute(sa.insert(runs).values(id=run_id, created_at=datetime.now(UTC), **row))
+        return run_id
+
+    def run(self, run_id: str) -> RunRow:
+        """The run of this id.
+
+        Raises:
+            InputError: there is none.
+        """
+        with self._database.reading() as connection:
+            row = connection.execute(sa.select(runs).where(runs.c.id == run_id)).one_or_none()
+            return RunRow(**row._mapping) if row is not None else refuse_run(connection, run_id, self.name)
+
+    def find_run(self, prefix: str) -> RunRow:
+        """The only run whose id is, or begins with, `prefix`; capitals do not count.
+
+        Raises:
+            InputError: there is none, or there are several.
+        """
+        prefix = prefix.lower()
+        with self._database.reading() as connection:
+            rows = connection.execute(
+                sa.select(runs).where(runs.c.id.startswith(prefix, autoescape=True)).order_by(runs.c.id)
+            ).all()
+            rows = [row for row in rows if row.id == prefix] or rows
+            if not prefix or not rows:
+                refuse_run(connection, prefix, self.name)
+        if len(rows) > 1:
+            some = ", ".join(row.id for row in rows[:5]) + (", ..." if len(rows) > 5 else "")
+            raise InputError(f"{len(rows)} runs begin with {prefix!r} ({some}); one is needed. Write more of its id.")
+        return RunRow(**rows[0]._mapping)
+
+    def runs(self) -> list[RunRow]:
+        """All runs, oldest first."""
+        with self._database.reading() as connection:
+            rows = connection.execute(sa.select(runs).order_by(runs.c.created_at, runs.c.id))
+            return [RunRow(**row._mapping) for row in rows]
+
+    def lease(self, run_id: str, *, owner: Owner | None = None, seconds: float = 60.0) -> AbstractContextManager[Lease]:
+        """The right to train a run, for the length of a `with`; a thread renews it.
+
+        Args:
+            run_id: of the run.
+            owner: who trains; this process, if None.
+            seconds: after how long a silence another trainer may take over. One whose process died on this
+                machine is replaced at once.
+
+        Raises:
+            InputError: there is no such run, or another trainer is at it.
+        """
+        self.run(run_id)
+        return hold(self._database, run_id, owner=owner, seconds=seconds)
+
+    # Trajectories
+
+    def add_trajectory(self, run_id: str, number: int, tau: Executed, kind: Kind) -> None:
+        """Keep τ as number `number` of the run's T.
+
+        Raises:
+            StoreError: another one is stored under this number.
+        """
+        with self._database.writing() as connection:
+            lock_run(connection, run_id, self.name)
+            add_trajectory(connection, run_id, TrajectoryRow.of(tau, number=number, kind=kind))
+
+    def trajectory(self, run_id: str, number: int) -> TrajectoryRow:
+        """One trajectory of a run.
+
+        Raises:
+            InputError: there is none of this number.
+        """
+        with self._database.reading() as connection:
+            mine = (trajectories.c.run_id == run_id) & (trajectories.c.number == number)
+            row = connection.execute(sa.select(trajectories).where(mine)).one_or_none()
+        if row is None:
+            raise InputError(
+                f"run {run_id!r} has no trajectory {number}; the number of one that was executed is needed. "
+                "Count from 0, and check the run's id."
+            )
+        return TrajectoryRow.read(row)
+
+    def trajectories(self, run_id: str) -> list[TrajectoryRow]:
+        """T, in the order of execution."""
+        with self._database.reading() as connection:
+            query = sa.select(trajectories).where(trajectories.c.run_id == run_id).order_by(trajectories.c.number)
+            return [TrajectoryRow.read(row) for row in connection.execute(query)]
+
+    # Questions and answers
+
+    def ask(self, run_id: str, k: int, first: int, second: int) -> int:
+        """The id of episode k's question: is trajectory `first` better than `second`?
+
+        Raises:
+            StoreError: episode k asks about other trajectories.
+        """
+        with self._database.writing() as connection:
+            lock_run(connection, run_id, self.name)
+            return add_question(connection, run_id, k, first, second)
+
+    def open_question(
+        self,
+        run_id: str,
+        k: int,
+        number: int,
+        tau: Executed,
+        kind: Kind,
+        first: int,
+        second: int,
+    ) -> int:
+        """`add_trajectory` and `ask` at once: what an episode must leave behind before a judge is asked."""
+        with self._database.writing() as connection:
+            lock_run(connection, run_id, self.name)
+            add_trajectory(connection, run_id, TrajectoryRow.of(tau, number=number, kind=kind))
+            return add_question(connection, run_id, k, first, second)
+
+    def questions(self, run_id: str | None = None, *, unanswered: bool = False) -> list[QuestionRow]:
+        """The questions of a run, or of all runs, oldest first; on request the open ones only."""
+        newest = (
+            sa.select(sa.func.max(answers.c.id))
+            .where(answers.c.question_id == questions.c.id)
+            .correlate(questions)
+            .scalar_subquery()
+        )
+        query = (
+            sa.select(questions, answers.c.g)
+            .select_from(questions.outerjoin(answers, answers.c.id == newest))
+            .order_by(questions.c.id)
+        )
+        if run_id is not None:
+            query = query.where(questions.c.run_id == run_id)
+        if unanswered:
+            query = query.where(answers.c.id.is_(None))
+        with self._database.reading() as connection:
+            return [QuestionRow(**row._mapping) for row in connection.execute(query)]
+
+    def answer(self, run_id: str, k: int, g: float | int, judge: str, *, swapped: bool = False) -> None:
+        """Keep an answer to episode k's question; it replaces earlier ones, which stay to be seen.
+
+        Args:
+            run_id: of the run.
+            k: the episode.
+            g: by how much the question's first trajectory is better than its second.
+            judge: who says so.
+            swapped: whether the judge was shown the second one first.
+
+        Raises:
+            InputError: nothing is asked there, or g is not finite.
+        """
+        if not math.isfinite(g):
+            raise InputError(f"got the answer {g}; a finite number is needed. Answer 0 for no difference.")
+        with self._database.writing() as connection:
+            mine = (questions.c.run_id == run_id) & (questions.c.k == k)
+            question_id = connection.execute(sa.select(questions.c.id).where(mine)).scalar()
+            if question_id is None:
+                raise InputError(
+                    f"run {run_id} asks nothing in episode {k}; an answer needs its question. "
+                    "Wait until the episode was executed, or check the run's id."
+                )
+            # Adding 0 turns -0.0, whose sign SQLite loses, into 0.0 everywhere.
+            row = {"g": float(g) + 0.0, "judge": judge, "swapped": swapped, "created_at": datetime.now(UTC)}
+            connection.execute(sa.insert(answers).values(question_id=question_id, **row))
+
+    def answer_of(self, run_id: str, k: int) -> float | None:
+        """The newest answer to episode k's question; None while there is none."""
+        said = [answer.g for answer in self.answers(run_id) if answer.k == k]
+        return said[-1] if said else None
+
+    def answers(self, run_id: str) -> list[AnswerRow]:
+        """All answers in the order they were given, corrected ones too."""
+        columns = (questions.c.k, answers.c.g, answers.c.judge, answers.c.swapped, answers.c.created_at)
+        query = sa.select(*columns).join_from(answers, questions).where(questions.c.run_id == run_id)
+        with self._database.reading() as connection:
+            return [AnswerRow(**row._mapping) for row in connection.execute(query.order_by(answers.c.id))]
+
+    # Episodes and the end
+
+    def finish_episode(self, run_id: str, k: int, facts: Mapping[str, Any], checkpoint: bytes) -> None:
+        """Keep what episode k came to, and the state from which episode k + 1 goes on. Older checkpoints go.
+
+        Raises:
+            StoreError: it was finished before, in another state.
+        """
+        with self._database.writing() as connection:
+            lock_run(connection, run_id, self.name)
+            add_episode(connection, run_id, k, facts, checkpoint)
+
+    def episodes(self, run_id: str) -> list[tuple[int, dict[str, Any]]]:
+        """Number k and the facts of each finished episode, in order."""
+        query = sa.select(episodes.c.k, episodes.c.facts).where(episodes.c.run_id == run_id).order_by(episodes.c.k)
+        with self._database.reading() as connection:
+            return [(row.k, row.facts) for row in connection.execute(query)]
+
+    def checkpoint(self, run_id: str) -> tuple[int, bytes] | None:
+        """The last finished episode and the state after it; None before the first."""
+        query = sa.select(checkpoints.c.k, checkpoints.c.blob).where(checkpoints.c.run_id == run_id)
+        with self._database.reading() as connection:
+            row = connection.execute(query.order_by(checkpoints.c.k.desc()).limit(1)).one_or_none()
+            return None if row is None else (row.k, row.blob)
+
+    def finish(self, run_id: str, facts: Mapping[str, Any], policy: bytes) -> None:
+        """Keep a run's summary and its policy.
+
+        Raises:
+            StoreError: it was finished before, with another policy.
+        """
+        with self._database.writing() as connection:
+            lock_run(connection, run_id, self.name)
+            add_final(connection, run_id, facts, policy)
+
+    def final(self, run_id: str) -> dict[str, Any] | None:
+        """The summary of a finished run; None while it is not."""
+        with self._database.reading() as connection:
+            return connection.execute(sa.select(finals.c.facts).where(finals.c.run_id == run_id)).scalar()
+
+    def policy(self, run_id: str) -> bytes | None:
+        """The policy of a finished run; None while it is not."""
+        with self._database.reading() as connection:
+            return connection.execute(sa.select(finals.c.policy).where(finals.c.run_id == run_id)).scalar()

@@ -1,0 +1,92 @@
+"""What a world is: something in which an actor can be executed for at most H steps."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import ClassVar
+
+import equinox as eqx
+import numpy as np
+
+from hiprl.data.trajectory import Trajectory
+from hiprl.types import Action, Actor, Flag, Key, Scalar, State
+
+Terminates = Callable[[State, Action, State], Flag]
+"""(s, a, s′) to True where the world ends an episode with that step. Pure JAX, one transition at a time."""
+
+
+class World(ABC):
+    """The true f, and the judge's r where it has one; the learner sees states and actions only."""
+
+    name: str
+    p: int
+    """Size of a state."""
+    q: int
+    """Size of an action. Actions are in [-1, 1]; the world scales them to its own bounds."""
+    H: int
+    """Most steps in an episode. Reaching it is truncation, not termination."""
+    terminates: Terminates | None
+    """The known rule of termination; None where it is not known and has to be learned."""
+    ends: bool
+    """Whether an episode can terminate at all. False: the rule is "never" and nothing is learned about it."""
+
+    @abstractmethod
+    def roll_out(self, actor: Actor, *, key: Key) -> Trajectory:
+        """τ ~ (f, π): one episode. The same actor and key give the same trajectory.
+
+        Raises:
+            WorldError: the environment raised, gave a value that is not finite, or changed its shapes.
+        """
+
+    def scaled(self, a: np.ndarray) -> np.ndarray:
+        """Actions in [-1, 1] as the world's own: one (q,) or a batch (n, q)."""
+        return a
+
+    def spec(self) -> str | None:
+        """What `world_from` makes this environment from in another process; None if made from an object.
+
+        It names the environment alone: a horizon or a rule of termination that was given is given again.
+        """
+
+    def close(self) -> None:
+        """Let go of what the world holds."""
+
+
+class Task(eqx.Module):
+    """A small world in pure JAX: f, r and s_0. Whole episodes compile, and seeds can be mapped over."""
+
+    name: ClassVar[str]
+    ends: ClassVar[bool]
+    """Whether an episode can terminate at all."""
+
+    @property
+    @abstractmethod
+    def p(self) -> int:
+        """Size of a state."""
+
+    @property
+    @abstractmethod
+    def q(self) -> int:
+        """Size of an action."""
+
+    @property
+    @abstractmethod
+    def H(self) -> int:
+        """Steps in an episode, where nobody asks for another number."""
+
+    @abstractmethod
+    def f(self, s: State, a: Action, key: Key) -> State:
+        """The next state, noise included."""
+
+    @abstractmethod
+    def r(self, s: State, a: Action) -> Scalar:
+        """The latent reward of a step; more is better."""
+
+    @abstractmethod
+    def s_0(self, key: Key) -> State:
+        """A draw of the first state."""
+
+    @abstractmethod
+    def terminates(self, s: State, a: Action, s_next: State) -> Flag:
+        """Whether the step ends the episode; False always where `ends` is False."""
