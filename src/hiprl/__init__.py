@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hiprl.api import Learned, learn, load
+    from hiprl.api import Learned, learn, load, resume
     from hiprl.config import Config, preset
     from hiprl.data.trajectory import Trajectory
     from hiprl.errors import FitDiverged, HiprlError, InputError, JudgeError, StoreError, WorldError
@@ -23,6 +23,7 @@ _HOMES = {
     "Learned": "hiprl.api",
     "learn": "hiprl.api",
     "load": "hiprl.api",
+    "resume": "hiprl.api",
     "Config": "hiprl.config",
     "preset": "hiprl.config",
     "Trajectory": "hiprl.data.trajectory",
@@ -52,6 +53,7 @@ __all__ = [
     "learn",
     "load",
     "preset",
+    "resume",
     "world_from",
 ]
 

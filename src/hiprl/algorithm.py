@@ -86,31 +86,34 @@ class Scores(eqx.Module):
     """The search promised far more than this."""
 
 
-def nothing_known(p: int, q: int, H: int, config: Config, *, key: Key) -> Run:
-    """Algorithm 1's first line: P = ∅, T = ∅, models that know nothing."""
+def nothing_known(T: Trajectories, config: Config, *, key: Key) -> Run:
+    """P = ∅, and models that know the units of T and nothing else."""
     dynamics_key, search_key, ending_key, reward_key = jr.split(key, 4)
-    blank = new_search(p, q + config.eta_size(p), config.search, key=search_key)
-    T = Trajectories.empty(config.comparisons + 1, H=H, p=p, q=q)
+    p, q = T.rows.states.shape[-1], T.rows.actions.shape[-1]
+    blank = new_search(T, q + config.eta_size(p), config.search, key=search_key)
     P = Preferences.empty(config.comparisons)
     return Run(
         k=jnp.zeros((), jnp.int32),
         T=T,
         P=P,
-        dynamics=new_dynamics(p, q, config.dynamics, key=dynamics_key),
+        dynamics=new_dynamics(T, config.dynamics, key=dynamics_key),
         reward=new_reward(P, T, config.reward, key=reward_key),
-        ending=new_ending(p, q, key=ending_key),
+        ending=new_ending(T, key=ending_key),
         calibration=Calibration.start(p, config.comparisons, kappa=config.kappa),
         archive=Archive.empty(T.capacity, blank),
     )
 
 
+def no_trajectories(world: World, config: Config) -> Trajectories:
+    """T = ∅ with room for all that a run will execute."""
+    return Trajectories.empty(config.comparisons + 1, H=world.H, p=world.p, q=world.q)
+
+
 def begin(world: World, config: Config, *, key: Key) -> Run:
     """Algorithm 1 before its loop: T = {τ_0}, by random actions."""
     model_key, world_key = jr.split(key)
-    run = nothing_known(world.p, world.q, world.H, config, key=model_key)
-    T = run.T.add(world.roll_out(Uniform(world.q), key=world_key))
-    reward = estimate_reward(run.P, T, run.reward, config.reward)  # no answer yet, but a scale for the features
-    return eqx.tree_at(lambda run: (run.T, run.reward), run, (T, reward))
+    tau_0 = world.roll_out(Uniform(world.q), key=world_key)
+    return nothing_known(no_trajectories(world, config).add(tau_0), config, key=model_key)
 
 
 def propose(run: Run, world: World, config: Config, *, key: Key) -> Question:

@@ -13,12 +13,15 @@ from jaxtyping import ArrayLike
 
 from hiprl.config import Config
 from hiprl.errors import InputError
-from hiprl.feedback.judges import Judge, judge_from
-from hiprl.session import Facts, RunSpec, Watch, actor_of, carry_on, start
-from hiprl.store.store import open_store
+from hiprl.feedback.judges import Answer, Judge, judge_from
+from hiprl.session import Facts, RunSpec, Watch, actor_of, carry_on, refuse_finished, start
+from hiprl.store.rows import RunRow
+from hiprl.store.store import Store, open_store
 from hiprl.types import Actor
 from hiprl.world.build import world_from
 from hiprl.world.task import World
+
+CUSTOM = "custom"  # what a row says of a function, which it cannot hold
 
 
 class Learned:
@@ -102,9 +105,10 @@ def learn(
         settings = replace(settings, comparisons=comparisons, warm_up=min(settings.warm_up, comparisons))
     world = world_from(env, horizon=horizon, terminates=terminates)
     answer = judge_from(judge)
-    name = judge if isinstance(judge, str) else "custom"
-    with open_store(store) as opened:
-        run_id = start(opened, world, RunSpec(seed=seed, config=settings, judge=name))
+    rule = None if terminates is None else named(terminates)
+    spec = RunSpec(seed=seed, config=settings, judge=named(judge), terminates=rule)
+    with new_store(store) as opened:
+        run_id = start(opened, world, spec)
         summary = carry_on(opened, run_id, world, answer, watch=watch)
         return Learned(actor_of(opened, run_id, world), world, summary)
 
@@ -120,11 +124,88 @@ def load(run: str, *, env: Any = None, store: str | Path = "runs/hiprl.db", term
     """
     with open_store(store, create=False) as opened:
         row = opened.find_run(run)
-        again = env if env is not None else row.spec["env"]
-        if again is None:
-            raise InputError(
-                f"run {row.id} was made from an environment object; to load it, that environment is needed again. "
-                "Pass it as env=."
-            )
-        world = world_from(again, horizon=row.spec["horizon"], terminates=terminates)
+        world = world_of(row, env=env, terminates=terminates)
         return Learned(actor_of(opened, row.id, world), world, opened.final(row.id))
+
+
+def resume(
+    run: str,
+    judge: str | Judge | None = None,
+    *,
+    env: Any = None,
+    terminates: Any = None,
+    store: str | Path = "runs/hiprl.db",
+    watch: Watch = lambda facts: None,
+) -> Learned:
+    """Goes on with a run that was stopped, with the draws that it would have had.
+
+    Args:
+        run: the run's id, or the start of it.
+        judge: as for `learn`; needed where the run's own was a function, and that one by default otherwise.
+        env: its environment; needed where the store does not know how to make it.
+        terminates: its rule of termination; needed where that was a function.
+        store: where the run is kept.
+        watch: called with the facts of each episode that is still to come.
+
+    Raises:
+        InputError: there is no such run, it is finished or being trained, or it needs what was not passed in.
+        JudgeError: the judge gave no answer; resume the run when it can.
+        WorldError: the environment broke.
+    """
+    with open_store(store, create=False) as opened:
+        row = opened.find_run(run)
+        refuse_finished(opened, row.id)
+        answer = judge_of(row, judge)
+        world = world_of(row, env=env, terminates=terminates)
+        summary = carry_on(opened, row.id, world, answer, watch=watch)
+        return Learned(actor_of(opened, row.id, world), world, summary)
+
+
+def new_store(where: str | Path) -> Store:
+    """The store at a path or an address, its folder made if there is none.
+
+    Raises:
+        InputError: the folder cannot be made.
+    """
+    if isinstance(where, Path) or "://" not in where:
+        folder = Path(where).expanduser().parent
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"cannot make the folder {folder} for the store ({error.strerror or error}); one that can be written "
+                "is needed. Name a file in a folder of your own."
+            ) from error
+    return open_store(where)
+
+
+def named(given: object) -> str:
+    """What a run's row says of a judge or a rule: its name, or `custom` for a function."""
+    return given if isinstance(given, str) else CUSTOM
+
+
+def judge_of(row: RunRow, judge: str | Judge | None = None) -> Answer:
+    """The judge of a run that goes on: the one that is passed in, or its own if that has a name."""
+    if judge is None and row.spec["judge"] == CUSTOM:
+        raise InputError(
+            f"run {row.id} was begun with a function as its judge; to go on, it needs that function again. "
+            f"Pass it from Python: hiprl.resume({row.id!r}, judge)."
+        )
+    return judge_from(row.spec["judge"] if judge is None else judge)
+
+
+def world_of(row: RunRow, *, env: Any = None, terminates: Any = None) -> World:
+    """The world of a run in the store, made again from its row and what a row cannot hold."""
+    again = row.spec["env"] if env is None else env
+    if again is None:
+        raise InputError(
+            f"run {row.id} was made from an environment object; to use the run, that environment is needed again. "
+            f"Pass it from Python, as env=: hiprl.resume({row.id!r}, env=env) or hiprl.load({row.id!r}, env=env)."
+        )
+    rule = row.spec.get("terminates") if terminates is None else terminates
+    if rule == CUSTOM:
+        raise InputError(
+            f"run {row.id} was begun with a function as its rule of termination; that function is needed again. "
+            "Pass it from Python as terminates=, or name it as --terminates module:function."
+        )
+    return world_from(again, horizon=row.spec["horizon"], terminates=rule)

@@ -18,7 +18,18 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 
-from hiprl.algorithm import Question, Run, Scores, begin, best_actor, learn, nothing_known, propose, scored
+from hiprl.algorithm import (
+    Question,
+    Run,
+    Scores,
+    begin,
+    best_actor,
+    learn,
+    no_trajectories,
+    nothing_known,
+    propose,
+    scored,
+)
 from hiprl.config import Config
 from hiprl.errors import FitDiverged, InputError, JudgeError
 from hiprl.evaluate import episodes, true_returns
@@ -49,6 +60,15 @@ class RunSpec:
     """Its name, for the record; `custom` for a function."""
     eval_episodes: int = 10
     """Episodes over which the final policy is reported."""
+    terminates: str | None = None
+    """The rule of termination that was given, as `module:function`; `custom` for a function itself."""
+
+    def __post_init__(self) -> None:
+        if self.eval_episodes < 1:
+            raise InputError(
+                f"got {self.eval_episodes} episodes for the final evaluation; at least 1 is needed to report a return. "
+                "Say for example `--eval-episodes 10`."
+            )
 
 
 def start(store: Store, world: World, spec: RunSpec) -> str:
@@ -61,6 +81,7 @@ def start(store: Store, world: World, spec: RunSpec) -> str:
             "horizon": world.H,
             "judge": spec.judge,
             "eval_episodes": spec.eval_episodes,
+            "terminates": spec.terminates,
             "config": to_plain(spec.config),
         },
         versions(),
@@ -75,6 +96,7 @@ def spec_of(store: Store, run_id: str) -> RunSpec:
         config=from_plain(row.spec["config"]),
         judge=row.spec["judge"],
         eval_episodes=row.spec["eval_episodes"],
+        terminates=row.spec.get("terminates"),
     )
 
 
@@ -87,11 +109,7 @@ def carry_on(store: Store, run_id: str, world: World, answer: Answer, *, watch: 
         WorldError: the environment broke.
         FitDiverged: a model's loss is not finite.
     """
-    if store.final(run_id) is not None:
-        raise InputError(
-            f"run {run_id} is finished; only a run that has episodes left can go on. "
-            f"Look at it with `hiprl show {run_id}`, or start a new one with `hiprl train`."
-        )
+    refuse_finished(store, run_id)
     spec = spec_of(store, run_id)
     with store.lease(run_id) as lease:
         key = jr.key(spec.seed)
@@ -102,16 +120,30 @@ def carry_on(store: Store, run_id: str, world: World, answer: Answer, *, watch: 
         return conclude(store, run_id, run, world, spec, key=key)
 
 
+def refuse_finished(store: Store, run_id: str) -> None:
+    """Raises InputError if nothing is left to do."""
+    if store.final(run_id) is not None:
+        raise InputError(
+            f"run {run_id} is finished; only a run that has episodes left can go on. "
+            f"Look at it with `hiprl show {run_id}`, or start a new one with `hiprl train`."
+        )
+
+
 def latest(store: Store, run_id: str, world: World, spec: RunSpec) -> Run:
     """The run as its last finished episode left it; a new one has executed τ_0."""
     key = jr.key(spec.seed)
     saved = store.checkpoint(run_id)
     if saved is not None:
-        blank = jax.eval_shape(partial(nothing_known, world.p, world.q, world.H, spec.config), key=key)
-        return unpack(saved[1], blank)
+        return unpack(saved[1], shape_of_run(world, spec.config))
     run = begin(world, spec.config, key=key)
     store.add_trajectory(run_id, 0, run.T.get(0), "random")
     return run
+
+
+def shape_of_run(world: World, config: Config) -> Run:
+    """A run with shapes in place of arrays: what a checkpoint is read into."""
+    T = no_trajectories(world, config)
+    return jax.eval_shape(lambda key: nothing_known(T, config, key=key), jax.eval_shape(jr.key, 0))
 
 
 def one_episode(
@@ -224,8 +256,7 @@ def conclude(store: Store, run_id: str, run: Run, world: World, spec: RunSpec, *
 def actor_of(store: Store, run_id: str, world: World) -> Actor:
     """The policy of a finished run, or the best one so far of a run that is not."""
     spec = spec_of(store, run_id)
-    shape = partial(nothing_known, world.p, world.q, world.H, spec.config)
-    blank = jax.eval_shape(shape, key=jr.key(0))
+    blank = shape_of_run(world, spec.config)
     like = jax.eval_shape(partial(best_actor, world=world, config=spec.config), blank)
     saved = store.policy(run_id)
     if saved is not None:

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from hiprl.control.imagined import Ends, SearchReport, SearchState, Starts, goes_on, report_of, trials
 from hiprl.control.policy import SquashedPolicy, Value
 from hiprl.hallucinated import Hallucinated
-from hiprl.models.network import Activation
+from hiprl.models.network import Activation, Scaler
 from hiprl.types import Key, Reward, Scalar, State, stacked_size
 
 
@@ -65,11 +65,13 @@ class GradientConfig:
     """Trials in each member."""
 
 
-def new_gradient(p: int, size: int, config: GradientConfig, *, key: Key) -> SearchState:
+def new_gradient(inputs: Scaler, size: int, config: GradientConfig, *, key: Key) -> SearchState:
     """A policy that does next to nothing, and a value that knows nothing."""
     policy_key, value_key = jr.split(key)
     hidden = {"hidden": config.hidden, "activation": config.activation}
-    return SearchState(SquashedPolicy.draw(p, size, **hidden, key=policy_key), Value.draw(p, **hidden, key=value_key))
+    return SearchState(
+        SquashedPolicy.draw(inputs, size, **hidden, key=policy_key), Value.draw(inputs, **hidden, key=value_key)
+    )
 
 
 def gradient_search(

@@ -29,10 +29,12 @@ class SquashedPolicy(Policy):
     inputs: Scaler
 
     @classmethod
-    def draw(cls, p: int, size: int, *, hidden: tuple[int, ...], activation: Activation, key: Key) -> SquashedPolicy:
-        """A policy of `size` outputs whose mean is near zero everywhere."""
-        net = MLP.draw(p, hidden, 2 * size, activation=activation, last_scale=0.01, key=key)
-        return cls(net, Scaler.identity(p))
+    def draw(
+        cls, inputs: Scaler, size: int, *, hidden: tuple[int, ...], activation: Activation, key: Key
+    ) -> SquashedPolicy:
+        """A policy of `size` outputs whose mean is near zero everywhere, for states in these units."""
+        net = MLP.draw(inputs.size, hidden, 2 * size, activation=activation, last_scale=0.01, key=key)
+        return cls(net, inputs)
 
     def gaussian(self, s: State) -> tuple[Float[Array, " size"], Float[Array, " size"]]:
         """Mean and log standard deviation before the squashing."""
@@ -67,9 +69,11 @@ class ClippedPolicy(Policy):
     inputs: Scaler
 
     @classmethod
-    def draw(cls, p: int, size: int, *, hidden: tuple[int, ...], activation: Activation, key: Key) -> ClippedPolicy:
-        net = MLP.draw(p, hidden, size, activation=activation, last_scale=0.01, key=key)
-        return cls(net, jnp.zeros(size), Scaler.identity(p))
+    def draw(
+        cls, inputs: Scaler, size: int, *, hidden: tuple[int, ...], activation: Activation, key: Key
+    ) -> ClippedPolicy:
+        net = MLP.draw(inputs.size, hidden, size, activation=activation, last_scale=0.01, key=key)
+        return cls(net, jnp.zeros(size), inputs)
 
     def gaussian(self, s: State) -> tuple[Float[Array, " size"], Float[Array, " size"]]:
         """Mean and log standard deviation before the clipping."""
@@ -104,9 +108,9 @@ class Value(eqx.Module):
     """A typical return, in the judge's unit; the network's output is near 1."""
 
     @classmethod
-    def draw(cls, p: int, *, hidden: tuple[int, ...], activation: Activation, key: Key) -> Value:
-        net = MLP.draw(p, hidden, 1, activation=activation, key=key)
-        return cls(net, Scaler.identity(p), jnp.ones(()))
+    def draw(cls, inputs: Scaler, *, hidden: tuple[int, ...], activation: Activation, key: Key) -> Value:
+        net = MLP.draw(inputs.size, hidden, 1, activation=activation, last_scale=0.01, key=key)
+        return cls(net, inputs, jnp.ones(()))
 
     def __call__(self, s: State) -> Scalar:
         return self.scale * self.net(self.inputs.down(s))[0]

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from hiprl.control.imagined import Ends, SearchReport, SearchState, Starts, goes_on, report_of, trials
 from hiprl.control.policy import LOG_ROOT_2PI, ClippedPolicy, Value, log_normal
 from hiprl.hallucinated import Hallucinated
-from hiprl.models.network import Activation
+from hiprl.models.network import Activation, Scaler
 from hiprl.types import Key, Reward, Scalar, stacked_size
 
 
@@ -66,12 +66,12 @@ class PPOConfig:
         return self.n_steps // self.rollouts
 
 
-def new_ppo(p: int, size: int, config: PPOConfig, *, key: Key) -> SearchState:
+def new_ppo(inputs: Scaler, size: int, config: PPOConfig, *, key: Key) -> SearchState:
     """A policy that acts at random around zero, and a value that knows nothing."""
     policy_key, value_key = jr.split(key)
     return SearchState(
-        ClippedPolicy.draw(p, size, hidden=config.hidden, activation=config.activation, key=policy_key),
-        Value.draw(p, hidden=config.hidden, activation=config.activation, key=value_key),
+        ClippedPolicy.draw(inputs, size, hidden=config.hidden, activation=config.activation, key=policy_key),
+        Value.draw(inputs, hidden=config.hidden, activation=config.activation, key=value_key),
     )
 
 

@@ -22,10 +22,10 @@ SearchConfig: TypeAlias = GradientConfig | PPOConfig
 SEEN_STATES = 8192  # as many as one search draws its starts from
 
 
-def new_search(p: int, size: int, config: SearchConfig, *, key: Key) -> SearchState:
-    """Where the first search begins: a policy of `size` outputs that does next to nothing."""
+def new_search(T: Trajectories, size: int, config: SearchConfig, *, key: Key) -> SearchState:
+    """Where the first search begins: a policy of `size` outputs that does next to nothing, in the units of T."""
     new = new_gradient if isinstance(config, GradientConfig) else new_ppo
-    return new(p, size, config, key=key)  # pyright: ignore[reportArgumentType]
+    return new(state_scaler(T), size, config, key=key)  # pyright: ignore[reportArgumentType]
 
 
 @partial(jax.jit, static_argnames=("config",))

@@ -53,12 +53,16 @@ class Trajectory(eqx.Module):
     def seen(self) -> Trajectory:
         """The same without padding, as NumPy arrays: what a judge gets."""
         n = int(self.length)
-        return Trajectory(
-            states=np.asarray(self.states)[: n + 1],  # pyright: ignore[reportArgumentType]
-            actions=np.asarray(self.actions)[:n],  # pyright: ignore[reportArgumentType]
-            rewards=np.asarray(self.rewards)[:n],  # pyright: ignore[reportArgumentType]
-            length=np.asarray(self.length),  # pyright: ignore[reportArgumentType]
-            terminated=np.asarray(self.terminated),  # pyright: ignore[reportArgumentType]
+        return eqx.tree_at(
+            lambda tau: (tau.states, tau.actions, tau.rewards, tau.length, tau.terminated),
+            self,
+            (
+                np.asarray(self.states)[: n + 1],
+                np.asarray(self.actions)[:n],
+                np.asarray(self.rewards)[:n],
+                np.asarray(self.length),
+                np.asarray(self.terminated),
+            ),
         )
 
 
@@ -70,7 +74,13 @@ def trajectory_from(
     Raises:
         InputError: the shapes do not fit each other, or a value is not finite.
     """
-    states, actions = np.asarray(states, np.float32), np.asarray(actions, np.float32)
+    try:
+        states, actions = np.asarray(states, np.float32), np.asarray(actions, np.float32)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"got states and actions that are no arrays of numbers ({error}); a trajectory needs (n + 1, p) and "
+            "(n, q). Record the state before each action and the last one, each with the same entries."
+        ) from error
     n = actions.shape[0] if actions.ndim else 0
     if states.ndim != 2 or actions.ndim != 2 or states.shape[0] != n + 1 or not 1 <= n <= H:
         raise InputError(

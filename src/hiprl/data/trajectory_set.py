@@ -23,16 +23,14 @@ class Trajectories(eqx.Module):
     @classmethod
     def empty(cls, capacity: int, *, H: int, p: int, q: int) -> Trajectories:
         """T = ∅ with room for `capacity` trajectories of at most `H` steps."""
-        return cls(
-            rows=Trajectory(
-                states=jnp.zeros((capacity, H + 1, p)),
-                actions=jnp.zeros((capacity, H, q)),
-                rewards=jnp.zeros((capacity, H)),
-                length=jnp.zeros(capacity, jnp.int32),
-                terminated=jnp.zeros(capacity, bool),
-            ),
-            count=jnp.zeros((), jnp.int32),
+        blank = Trajectory(
+            states=jnp.zeros((H + 1, p)),
+            actions=jnp.zeros((H, q)),
+            rewards=jnp.zeros(H),
+            length=jnp.zeros((), jnp.int32),
+            terminated=jnp.zeros((), bool),
         )
+        return cls(jax.tree.map(lambda x: jnp.zeros((capacity, *x.shape), x.dtype), blank), jnp.zeros((), jnp.int32))
 
     @property
     def capacity(self) -> int:
@@ -71,7 +69,7 @@ class Trajectories(eqx.Module):
     def seen(self) -> Bool[Array, "N H_plus_1"]:
         """True for the states that were visited, the last one of each trajectory included."""
         t = jnp.arange(self.rows.states.shape[1])
-        return self.filled[:, None] & (t <= self.rows.length[:, None])
+        return self.filled[:, None] & (t[None] <= self.rows.length[:, None])
 
     def first_states(self) -> Float[Array, "N p"]:
         """s_0 of each trajectory; rows past the count repeat the first one."""

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from hiprl.data.trajectory import Trajectory
 from hiprl.models.ensemble import Ensemble
 from hiprl.models.reward import Gap
-from hiprl.types import Count, Scalar
+from hiprl.types import Count, Flag, Scalar
 
 LEVEL = 0.9  # the share of errors that a calibrated width covers
 NORMAL_90 = 1.6449  # of a standard normal, 90 % lies within this
@@ -56,7 +56,7 @@ class Calibration(eqx.Module):
         z = jnp.abs(g - predicted.mean) / jnp.maximum(predicted.sigma, 1e-12)
         return eqx.tree_at(lambda c: (c.z, c.count), self, (self.z.at[self.count].set(z), self.count + 1))
 
-    def after_episode(self, seen: ModelErrors, *, decay: float, overpromised: Scalar) -> Calibration:
+    def after_episode(self, seen: ModelErrors, *, decay: float, overpromised: Flag) -> Calibration:
         """Takes β from the newest episode; κ decays by rule, and is halved after a promise that was not kept."""
         kappa = self.kappa * decay * jnp.where(overpromised, 0.5, 1.0)
         return eqx.tree_at(lambda c: (c.beta, c.kappa), self, (seen.beta, kappa))
@@ -90,7 +90,7 @@ def model_errors(ensemble: Ensemble, tau: Trajectory) -> ModelErrors:
     beta = jax.vmap(conformal_quantile, in_axes=(1, None))(beyond_noise[compact], count)
     return ModelErrors(
         deviation=jnp.sum(jnp.linalg.norm(error, axis=1)) / count,
-        relative=jnp.sqrt(jnp.sum((error / ensemble.step_scale) ** 2) / (count * p)),
+        relative=jnp.sqrt(jnp.sum((error / ensemble.step_scale[None]) ** 2) / (count * p)),
         coverage=covered / (count * p),
         beta=jnp.clip(beta, MIN_BETA, MAX_BETA),
     )

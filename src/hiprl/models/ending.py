@@ -37,19 +37,25 @@ class Ending(eqx.Module):
         return self.seen & (self.logit(s, a, s_next) > 0)
 
 
-def new_ending(p: int, q: int, *, key: Key) -> Ending:
+def new_ending(T: Trajectories, *, key: Key) -> Ending:
     """A classifier that expects no end."""
-    n = 2 * p + q
-    net = MLP.draw(n, (64, 64), 1, activation="silu", key=key)
-    return Ending(net, Scaler.identity(n), jnp.asarray(False))
+    inputs, _ = _units(T)
+    net = MLP.draw(inputs.size, (64, 64), 1, activation="silu", key=key)
+    return Ending(net, inputs, jnp.asarray(False))
+
+
+def _units(T: Trajectories) -> tuple[Scaler, Float[Array, "n x"]]:
+    """Mean and spread of (s, a, s′), and the rows themselves."""
+    rows = T.transitions()
+    x = jnp.concatenate([rows.s, rows.a, rows.s_next], axis=1)
+    return Scaler.of(x, rows.mask), x
 
 
 @partial(jax.jit)
 def estimate_ending(T: Trajectories, ending: Ending, *, key: Key) -> Ending:
     """Fits the classifier to T. Each minibatch holds as many ends as other steps, since ends are rare."""
     rows = T.transitions()
-    x = jnp.concatenate([rows.s, rows.a, rows.s_next], axis=1)
-    inputs = Scaler.of(x, rows.mask)
+    inputs, x = _units(T)
     net = ending.net.with_input_scaler(ending.inputs, inputs)
     z = jax.vmap(inputs.down)(x)
     ends, others = RowDraw.of(rows.mask & rows.terminated), RowDraw.of(rows.mask & ~rows.terminated)

@@ -62,12 +62,14 @@ class Ensemble(Dynamics):
     """Every leaf has a leading axis M."""
 
     @classmethod
-    def draw(cls, p: int, q: int, *, M: int, hidden: tuple[int, ...], activation: Activation, key: Key) -> Ensemble:
-        """M members with weights of their own, which predict that nothing moves."""
+    def draw(
+        cls, inputs: Scaler, steps: Scaler, *, M: int, hidden: tuple[int, ...], activation: Activation, key: Key
+    ) -> Ensemble:
+        """M members with weights of their own, for (s, a) and s′ - s in these units."""
 
         def one(member_key: Key) -> Member:
-            net = MLP.draw(p + q, hidden, 2 * p, activation=activation, key=member_key)
-            return Member(net, Scaler.identity(p + q), Scaler.identity(p))
+            net = MLP.draw(inputs.size, hidden, 2 * steps.size, activation=activation, key=member_key)
+            return Member(net, inputs, steps)
 
         return cls(jax.vmap(one)(jr.split(key, M)))
 
@@ -83,7 +85,7 @@ class Ensemble(Dynamics):
     def predict(self, s: State, a: Action) -> Prediction:
         each = jax.vmap(Member.predict, in_axes=(0, None, None))(self.stack, s, a)
         mu = jnp.mean(each.mu, axis=0)
-        var = jnp.sum((each.mu - mu) ** 2, axis=0) / (self.M - 1)
+        var = jnp.sum((each.mu - mu[None]) ** 2, axis=0) / (self.M - 1)
         tiny = 1e-12 * self.step_scale**2  # keeps the gradient of the root finite where members agree
         return Prediction(mu, jnp.sqrt(var + tiny), jnp.sqrt(jnp.mean(each.noise**2, axis=0)))
 

@@ -22,16 +22,16 @@ class Scaler(eqx.Module):
     mean: Float[Array, " n"]
     std: Float[Array, " n"]
 
-    @classmethod
-    def identity(cls, n: int) -> Scaler:
-        return cls(jnp.zeros(n), jnp.ones(n))
+    @property
+    def size(self) -> int:
+        return self.mean.shape[0]
 
     @classmethod
     def of(cls, x: Float[Array, "rows n"], mask: Bool[Array, " rows"]) -> Scaler:
         """Mean and spread of the masked rows; an entry that never varies keeps its unit."""
         count = jnp.maximum(jnp.sum(mask), 1)
         mean = jnp.sum(jnp.where(mask[:, None], x, 0.0), axis=0) / count
-        var = jnp.sum(jnp.where(mask[:, None], (x - mean) ** 2, 0.0), axis=0) / count
+        var = jnp.sum(jnp.where(mask[:, None], (x - mean[None]) ** 2, 0.0), axis=0) / count
         std = jnp.sqrt(var)
         return cls(mean, jnp.where(std > 1e-6, std, 1.0))
 
@@ -44,6 +44,18 @@ class Scaler(eqx.Module):
         return z * self.std + self.mean
 
 
+def step_scaler(T: Trajectories) -> Scaler:
+    """Mean and spread of s′ - s over T."""
+    rows = T.transitions()
+    return Scaler.of(rows.s_next - rows.s, rows.mask)
+
+
+def state_action_scaler(T: Trajectories) -> Scaler:
+    """Mean and spread of (s, a) over T."""
+    rows = T.transitions()
+    return Scaler.of(jnp.concatenate([rows.s, rows.a], axis=1), rows.mask)
+
+
 def state_scaler(T: Trajectories) -> Scaler:
     """Mean and spread of the states in which actions were taken."""
     rows = T.transitions()
@@ -53,8 +65,8 @@ def state_scaler(T: Trajectories) -> Scaler:
 class MLP(eqx.Module):
     """Layers of weights and biases with one activation between them."""
 
-    weights: tuple[Float[Array, "i o"], ...]
-    biases: tuple[Float[Array, " o"], ...]
+    weights: tuple[Float[Array, "_i _o"], ...]
+    biases: tuple[Float[Array, " _o"], ...]
     activation: Activation = eqx.field(static=True)
 
     @classmethod

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from hiprl.data.preference import Preferences
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.network import MLP, Activation, Scaler
+from hiprl.models.network import MLP, Activation, Scaler, state_action_scaler
 from hiprl.models.reward import EstimatedReward, Gap, typical_size
 from hiprl.types import Action, Key, Scalar, State
 
@@ -71,7 +71,7 @@ def new_network_reward(T: Trajectories, config: NetworkConfig, *, key: Key) -> N
     n = T.rows.states.shape[2] + T.rows.actions.shape[2]
     draw = lambda key: MLP.draw(n, config.hidden, 1, activation=config.activation, key=key)  # noqa: E731
     nets = jax.vmap(draw)(jr.split(key, config.members))
-    return NetworkReward(jnp.ones(()), nets, Scaler.identity(n))
+    return NetworkReward(jnp.ones(()), nets, state_action_scaler(T))
 
 
 @partial(jax.jit, static_argnames=("config",))
@@ -82,8 +82,7 @@ def estimate_network_reward(
 
     Only trajectories in T are looked at, each once a step: the loss is that of eq. (59), mean squared error of g.
     """
-    rows = T.transitions()
-    inputs = Scaler.of(jnp.concatenate([rows.s, rows.a], axis=1), rows.mask)
+    inputs = state_action_scaler(T)
     nets = jax.vmap(MLP.with_input_scaler, in_axes=(0, None, None))(reward.nets, reward.inputs, inputs)
     n = jnp.maximum(jnp.sum(P.filled), 1)
     optimiser = optax.adam(config.learning_rate)

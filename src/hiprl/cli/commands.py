@@ -1,0 +1,175 @@
+"""The commands and their flags, as frozen dataclasses of plain values.
+
+`hiprl --help` reads this module and must be quick: what a command needs is imported when it runs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TypeAlias
+
+from tyro.conf import Positional, UseAppendAction, arg, subcommand
+
+Facts: TypeAlias = dict[str, Any]
+
+Preset: TypeAlias = Literal["default", "paper"]
+Optimism: TypeAlias = Literal["greedy", "thompson", "eta_policy", "eta_sign", "bonus"]
+Search: TypeAlias = Literal["gradient", "ppo"]
+Plan: TypeAlias = Literal["none", "sample", "mpc"]
+
+DEFAULT_STORE = "runs/hiprl.db"
+
+Store: TypeAlias = Annotated[str, arg(metavar="PATH|URL")]
+Json: TypeAlias = Annotated[bool, arg(help_behavior_hint="(default: off)")]
+Folder: TypeAlias = Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: none)")]
+Rule: TypeAlias = Annotated[
+    str | None,
+    arg(
+        metavar="MODULE:FUNCTION",
+        help_behavior_hint="(default: the known rule of the environment; if there is none, one is learned)",
+    ),
+]
+
+
+def by_preset(default: str, paper: str) -> Any:
+    """How a flag is shown whose default depends on the preset."""
+    return arg(help_behavior_hint=f"(default: {default}; with preset paper: {paper})")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train:
+    """Learn a behaviour from comparisons that a scripted judge answers.
+
+    The run is stored as it goes on: after Ctrl-C or a crash, `hiprl resume RUN` continues it with the same draws.
+    """
+
+    env: Annotated[Positional[str], arg(metavar="ENV")]
+    """Environment: a Gymnasium id such as Hopper-v5 or package:Id-v0;
+    module:function for a function of yours that makes one;
+    or a built-in one: linear, swing-up, swing-up:action_cost=0.1."""
+    judge: Annotated[str, arg(metavar="exact|noisy:STD")] = "exact"
+    """Who compares, by the environment's own reward:
+    exact gives the difference of the returns;
+    noisy:STD adds an error with this standard deviation, in the unit of the return."""
+    comparisons: Annotated[int, arg(metavar="K")] = 30
+    """Comparisons that the judge answers; one an episode."""
+    seed: int = 0
+    """Decides all draws; whole number."""
+    preset: Preset = "default"
+    """Settings to start from: the best that we know, or those of the paper."""
+    optimism: Annotated[Optimism | None, by_preset("thompson", "eta_policy")] = None
+    """How a search may use what the dynamics model does not know."""
+    search: Annotated[Search | None, by_preset("gradient", "ppo")] = None
+    """How a policy is searched in the model."""
+    plan: Annotated[Plan | None, by_preset("none", "sample")] = None
+    """How the policy is executed: as it is, drawn from, or improved at each step by planning ahead in the model."""
+    horizon: Annotated[int | None, arg(metavar="H", help_behavior_hint="(default: the environment's own limit)")] = None
+    """Most steps in an episode; needed where the environment has no limit."""
+    terminates: Rule = None
+    """When an episode ends: a function of (s, a, s_next) in JAX that gives true there."""
+    eval_episodes: Annotated[int, arg(metavar="N")] = 10
+    """Episodes over which the learned policy is reported at the end; they teach nothing."""
+    store: Store = DEFAULT_STORE
+    """Where the run is kept: a file, made if there is none, or postgresql+psycopg://user:password@host/database."""
+    tensorboard: Folder = None
+    """Write TensorBoard event files into this folder, one folder a run in it."""
+    json: Json = False
+    """End with one JSON object on the last line of stdout."""
+
+    def __call__(self) -> Facts:
+        """Does it."""
+        from hiprl.cli.training import train
+
+        return train(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Resume:
+    """Go on with a run that was stopped or killed, with the draws that it would have had."""
+
+    run: Annotated[Positional[str], arg(metavar="RUN")]
+    """The run's id, or the start of it."""
+    terminates: Annotated[
+        str | None, arg(metavar="MODULE:FUNCTION", help_behavior_hint="(default: what the run began with)")
+    ] = None
+    """When an episode ends; needed where the run was begun from Python with a function."""
+    store: Store = DEFAULT_STORE
+    """Where the run is kept: a file or an address, as for train."""
+    tensorboard: Folder = None
+    """Write TensorBoard event files into this folder, one folder a run in it."""
+    json: Json = False
+    """End with one JSON object on the last line of stdout, the same as train gives."""
+
+    def __call__(self) -> Facts:
+        """Does it."""
+        from hiprl.cli.training import resume
+
+        return resume(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Show:
+    """Numbers and pictures of a run: what it learned, how well its models know, what imagination promised."""
+
+    run: Annotated[Positional[str | None], arg(metavar="[RUN]", help_behavior_hint="(default: the newest run)")] = None
+    """The run's id, or the start of it. Without it, all runs of the store are listed too."""
+    store: Store = DEFAULT_STORE
+    """Where the run is kept: a file or an address, as for train."""
+    out: Annotated[
+        str | None, arg(metavar="DIR", help_behavior_hint="(default: a folder named as the run, beside the store)")
+    ] = None
+    """Folder for the pictures (PNG), made if there is none."""
+    json: Json = False
+    """End with one JSON object on the last line of stdout; the table goes to stderr."""
+
+    def __call__(self) -> Facts:
+        """Does it."""
+        from hiprl.cli.showing import show
+
+        return show(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compare:
+    """Runs side by side: those that differ in their seed alone are one arm.
+
+    Tells the return over seeds with its interval, and the comparisons needed to reach one.
+    """
+
+    runs: Annotated[Positional[tuple[str, ...]], arg(metavar="RUN", help_behavior_hint="(default: none)")] = ()
+    """Ids of runs, or the start of them."""
+    all: Annotated[bool, arg(help_behavior_hint="(default: off)")] = False
+    """Take all runs of the stores."""
+    store: Annotated[
+        UseAppendAction[tuple[str, ...]],
+        arg(metavar="PATH|URL", help_behavior_hint=f"(default: {DEFAULT_STORE}; repeatable)"),
+    ] = ()
+    """Where the runs are kept; give it once for each store."""
+    reach: Annotated[
+        float | None,
+        arg(
+            metavar="RETURN",
+            help_behavior_hint="(default: nine tenths of the way from random actions to the best arm)",
+        ),
+    ] = None
+    """Return to reach, in the unit of the environment's reward, for counting the comparisons needed."""
+    out: Annotated[
+        str | None, arg(metavar="DIR", help_behavior_hint="(default: the folder comparison beside the first store)")
+    ] = None
+    """Folder for the picture (PNG), made if there is none."""
+    json: Json = False
+    """End with one JSON object on the last line of stdout; the table goes to stderr."""
+
+    def __call__(self) -> Facts:
+        """Does it."""
+        from hiprl.cli.showing import compare
+
+        return compare(self)
+
+
+Command: TypeAlias = (
+    Annotated[Train, subcommand("train")]
+    | Annotated[Resume, subcommand("resume")]
+    | Annotated[Show, subcommand("show")]
+    | Annotated[Compare, subcommand("compare")]
+)

@@ -1,0 +1,1 @@
+"""Numbers and pictures of runs, read from the store."""

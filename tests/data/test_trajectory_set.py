@@ -1,0 +1,78 @@
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from hiprl.data.trajectory_set import Trajectories
+from tests.data.samples import H, N, clean, lengths, p, q, seeds, set_of, trajectory
+
+several = st.lists(lengths, min_size=1, max_size=N)
+
+
+def taus_of(seed, ns):
+    rng = np.random.default_rng(seed)
+    return [trajectory(rng, length=n, terminated=n % 2 == 0) for n in ns]
+
+
+@given(seeds, several)
+def test_what_was_added_comes_back(seed, ns):
+    taus = taus_of(seed, ns)
+    T = set_of(taus)
+    assert int(T.count) == len(ns) and int(T.last) == len(ns) - 1 and T.capacity == N
+    np.testing.assert_array_equal(T.filled, np.arange(N) < len(ns))
+    for i, tau in enumerate(taus):
+        for put, got in zip(jax.tree.leaves(tau), jax.tree.leaves(T.get(jnp.asarray(i))), strict=True):
+            np.testing.assert_array_equal(put, got)
+
+
+@given(seeds, several)
+def test_transitions_are_those_of_each_trajectory_in_turn(seed, ns):
+    taus = taus_of(seed, ns)
+    rows = jax.tree.map(np.asarray, set_of(taus).transitions())
+    assert rows.mask.shape == (N * H,) and int(rows.mask.sum()) == sum(ns)
+    seen = np.asarray(rows.mask)
+    np.testing.assert_array_equal(rows.s[seen], np.concatenate([np.asarray(tau.states)[:n] for tau, n in zip(taus, ns, strict=True)]))
+    np.testing.assert_array_equal(rows.a[seen], np.concatenate([np.asarray(tau.actions)[:n] for tau, n in zip(taus, ns, strict=True)]))
+    np.testing.assert_array_equal(rows.s_next[seen], np.concatenate([np.asarray(tau.states)[1 : n + 1] for tau, n in zip(taus, ns, strict=True)]))
+    assert int(rows.terminated[seen].sum()) == sum(n % 2 == 0 for n in ns)
+
+
+@given(seeds, several)
+def test_padding_changes_nothing_that_is_read(seed, ns):
+    T = set_of(taus_of(seed, ns))
+    other = clean(T)
+    read = lambda T: (T.transitions(), T.box(margin=0.3), T.first_states(), T.seen())  # noqa: E731
+    for x, y in zip(jax.tree.leaves(read(T)), jax.tree.leaves(read(other)), strict=True):
+        assert np.isfinite(x).all()
+        np.testing.assert_array_equal(x, y)
+
+
+@given(seeds, several, st.floats(0, 2))
+def test_the_box_holds_all_states_seen_and_its_margin(seed, ns, margin):
+    taus = taus_of(seed, ns)
+    low, high = set_of(taus).box(margin=margin)
+    seen = np.concatenate([np.asarray(tau.states)[: n + 1] for tau, n in zip(taus, ns, strict=True)])
+    width = seen.max(0) - seen.min(0)
+    np.testing.assert_allclose(low, seen.min(0) - margin * width, atol=1e-5)
+    np.testing.assert_allclose(high, seen.max(0) + margin * width, atol=1e-5)
+
+
+@given(seeds, several)
+def test_first_states_are_where_episodes_began(seed, ns):
+    taus = taus_of(seed, ns)
+    first = np.asarray(set_of(taus).first_states())
+    np.testing.assert_array_equal(first[: len(ns)], [np.asarray(tau.states)[0] for tau in taus])
+    np.testing.assert_array_equal(first[len(ns) :], np.broadcast_to(np.asarray(taus[0].states)[0], (N - len(ns), p)))
+
+
+def test_a_trajectory_is_picked_uniformly_from_those_that_were_added():
+    count, draws = 7, 3000
+    T = Trajectories(Trajectories.empty(N, H=H, p=p, q=q).rows, jnp.asarray(count, jnp.int32))
+    picked = jax.vmap(lambda key: T.pick(key=key))(jr.split(jr.key(11), draws))
+    seen = np.bincount(picked, minlength=count)
+    assert len(seen) == count  # never one past the count
+    left = stats.chi2.cdf(stats.chisquare(seen).statistic, count - 1)
+    assert 1e-4 < left < 1 - 1e-4  # neither too uneven nor too even
