@@ -6,9 +6,8 @@ they like; neither part knows which.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
-from typing import TypeAlias
+from typing import NamedTuple, Protocol
 
 import equinox as eqx
 import jax
@@ -20,7 +19,7 @@ from hiprl.config import Config
 from hiprl.control.archive import Archive
 from hiprl.control.imagined import Ends, SearchReport, SearchState
 from hiprl.control.plan import Follow, planned
-from hiprl.control.policy import Babble, Uniform
+from hiprl.control.policy import Uniform
 from hiprl.control.search import new_search, search
 from hiprl.data.preference import Preferences
 from hiprl.data.trajectory import Trajectory
@@ -30,13 +29,11 @@ from hiprl.models.calibration import Calibration, ModelErrors, model_errors
 from hiprl.models.dynamics import DynamicsState, estimate_dynamics, new_dynamics
 from hiprl.models.ending import Ending, estimate_ending, new_ending
 from hiprl.models.estimate import estimate_reward, new_reward
-from hiprl.models.network import state_scaler
 from hiprl.models.reward import BOX_MARGIN, EstimatedReward, Gap
 from hiprl.rollout import J
 from hiprl.types import Actor, Count, Flag, Key, Scalar
 from hiprl.world.task import World
 
-KEPT = 0.7  # of the best policy's lead over random actions; with less, the newest one has fallen behind
 OVERPROMISE = 3.0  # times the executed return, by which imagination may exceed it before κ is halved
 
 
@@ -68,8 +65,19 @@ class Question(eqx.Module):
     """False in the warm-up, where the actions are random."""
 
 
-Ask: TypeAlias = Callable[[Question, Run], float]
-"""The judge: gives g(τ, τ′) for the two trajectories of a question."""
+class Ask(Protocol):
+    """The judge: gives g(τ, τ′) for the two trajectories of a question."""
+
+    def __call__(self, question: Question, run: Run, *, key: Key) -> float: ...
+
+
+class Episode(NamedTuple):
+    """What one turn of Algorithm 1's loop came to."""
+
+    question: Question
+    g: float
+    run: Run
+    """What is known after it."""
 
 
 class Scores(eqx.Module):
@@ -112,7 +120,7 @@ def no_trajectories(world: World, config: Config) -> Trajectories:
 def begin(world: World, config: Config, *, key: Key) -> Run:
     """Algorithm 1 before its loop: T = {τ_0}, by random actions."""
     model_key, world_key = jr.split(key)
-    tau_0 = world.roll_out(Uniform(world.q), key=world_key)
+    tau_0 = world.roll_out(Uniform(jnp.ones(()), world.q), key=world_key)
     return nothing_known(no_trajectories(world, config).add(tau_0), config, key=model_key)
 
 
@@ -122,7 +130,7 @@ def propose(run: Run, world: World, config: Config, *, key: Key) -> Question:
     other = run.T.pick(key=pick_key)
     state = restart(run, config)
     if int(run.k) + 1 < config.warm_up:
-        tau = world.roll_out(Babble.draw(state_scaler(run.T), world.q, key=search_key), key=world_key)
+        tau = world.roll_out(Uniform.draw(world.q, key=search_key), key=world_key)
         return Question(tau, other, state, SearchReport.nothing(), searched=False)
     f_tilde = hallucinated(run, config)  # μ + βση, eq. (5)
     ends = ends_of(run, world)
@@ -150,23 +158,22 @@ def learn(run: Run, question: Question, g: float, world: World, config: Config, 
     return Run(run.k + 1, T, P, dynamics, reward, ending, calibration, archive)
 
 
-def episode(run: Run, world: World, config: Config, ask: Ask, *, key: Key) -> Run:
+def episode(run: Run, world: World, config: Config, ask: Ask, *, key: Key) -> Episode:
     """Episode k. `key` is the run's own: a stopped run goes on with the same draws."""
-    propose_key, learn_key = jr.split(jr.fold_in(key, run.k))
+    propose_key, ask_key, learn_key = jr.split(jr.fold_in(key, run.k), 3)
     question = propose(run, world, config, key=propose_key)
-    return learn(run, question, ask(question, run), world, config, key=learn_key)
+    g = ask(question, run, key=ask_key)
+    return Episode(question, g, learn(run, question, g, world, config, key=learn_key))
 
 
 def restart(run: Run, config: Config) -> SearchState:
-    """Where the next search begins: the newest policy, or the best executed one where the newest fell behind it.
+    """Where the next search begins: at the executed policy that the newest r̂ ranks best, or at the newest one.
 
-    Both are judged by the newest r̂ on what they did in the world, never by the true reward.
+    A search that went wrong is one whose policy did worse in the world than an older one, by r̂ and never by the true
+    reward. To begin at the best of the archive is to notice it and to recover at once.
     """
-    returns = run.reward.returns(run.T)
-    best = run.archive.best(returns)
-    random = jnp.mean(returns[: config.warm_up])
-    newest_is_good = returns[run.T.last] - random >= KEPT * (returns[best] - random)
-    return run.archive.get(jnp.where(config.restart & ~newest_is_good, best, run.T.last))
+    best = run.archive.best(run.reward.returns(run.T))
+    return run.archive.get(best if config.restart else run.T.last)
 
 
 def hallucinated(run: Run, config: Config) -> Hallucinated:

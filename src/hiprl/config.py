@@ -37,7 +37,7 @@ class Config:
     bonus: float = 1.0
     """In mode `bonus`: reward for a σ as large as a typical step, in units of a typical reward."""
     restart: bool = True
-    """Begin a search at the best of the executed policies when the newest fell behind it, by r̂."""
+    """Begin each search at the executed policy that r̂ ranks best; False: at the newest one (the paper)."""
     dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
     """The model of the world."""
     reward: RewardConfig = field(default_factory=AdditiveConfig)
@@ -48,9 +48,9 @@ class Config:
     """What is executed, given a policy."""
 
     def __post_init__(self) -> None:
-        if self.comparisons < 1:
+        if self.comparisons < 2:
             raise InputError(
-                f"got {self.comparisons} comparisons; at least 1 is needed to learn anything. "
+                f"got {self.comparisons} comparisons; at least 2 are needed, as the warm-up has 2 trajectories. "
                 "Say for example `--comparisons 30`."
             )
         if not 2 <= self.warm_up <= self.comparisons:
@@ -101,7 +101,13 @@ def paper(env: str) -> Config:
         optimism="eta_policy",
         restart=False,
         dynamics=DynamicsConfig(
-            hidden=(32, 32), activation="relu", weight_decay=0.0, bootstrap=False, chunk=100, patience=1000
+            hidden=(32, 32),
+            activation="relu",
+            learning_rate=1e-3,
+            weight_decay=0.0,
+            bootstrap=False,
+            chunk=100,
+            patience=1000,
         ),
         reward=NetworkConfig(),
         search=PAPER_CHEETAH if "HalfCheetah" in env else PAPER_PENDULUM,

@@ -44,7 +44,7 @@ def interquartile_mean(x: np.ndarray) -> float:
     return float(x @ weight / weight.sum())
 
 
-def interval(x: Sequence[float], *, level: float = 0.95, draws: int = 2000, seed: int = 0) -> Interval:
+def interval(x: Sequence[float] | np.ndarray, *, level: float = 0.95, draws: int = 2000, seed: int = 0) -> Interval:
     """Interquartile mean of the runs with its bootstrap interval (runs drawn again with replacement)."""
     values = np.asarray(x, float)
     rng = np.random.default_rng(seed)
@@ -54,6 +54,6 @@ def interval(x: Sequence[float], *, level: float = 0.95, draws: int = 2000, seed
     return Interval(interquartile_mean(values), float(low), float(high))
 
 
-def cumulative_regret(optimal_return: float, returns: Sequence[float]) -> np.ndarray:
+def cumulative_regret(optimal_return: float, returns: Sequence[float] | np.ndarray) -> np.ndarray:
     """Reg(k) = Σ reg(i), eq. (3), against a known optimal return."""
     return np.cumsum(optimal_return - np.asarray(returns, float))

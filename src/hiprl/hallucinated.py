@@ -73,8 +73,8 @@ class Hallucinated(eqx.Module):
         members = self.dynamics.members()
         M = jax.tree.leaves(members)[0].shape[0]
         copies = lambda x: jnp.broadcast_to(x, (M, *x.shape))  # noqa: E731
-        rest = jax.tree.map(copies, (self.beta, self.bonus, self.step_scale, self.low, self.high))
-        return Hallucinated(members, *rest, self.mode)
+        beta, bonus, step_scale, low, high = map(copies, (self.beta, self.bonus, self.step_scale, self.low, self.high))
+        return Hallucinated(members, beta, bonus, step_scale, low, high, self.mode)
 
     def split(self, action_and_eta: Float[Array, " q_plus"]) -> tuple[Action, Eta]:
         """The action and the policy's own η (zero where the mode has none)."""

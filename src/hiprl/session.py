@@ -17,6 +17,7 @@ from typing import Any, TypeAlias
 import jax
 import jax.numpy as jnp
 import jax.random as jr
+import numpy as np
 
 from hiprl.algorithm import (
     Question,
@@ -24,10 +25,8 @@ from hiprl.algorithm import (
     Scores,
     begin,
     best_actor,
-    learn,
     no_trajectories,
     nothing_known,
-    propose,
     scored,
 )
 from hiprl.config import Config
@@ -150,9 +149,26 @@ def one_episode(
     store: Store, run_id: str, run: Run, world: World, config: Config, answer: Answer, watch: Watch, *, key: Key
 ) -> Run:
     """Episode k of Algorithm 1, with what it leaves in the store."""
-    k, began = int(run.k) + 1, time.perf_counter()
-    propose_key, ask_key, learn_key = jr.split(jr.fold_in(key, k), 3)
-    question = propose(run, world, config, key=propose_key)
+    k = int(run.k) + 1
+    times = [time.perf_counter()]
+
+    def ask(question: Question, run: Run, *, key: Key) -> float:
+        times.append(time.perf_counter())
+        g = asked(store, run_id, k, run, question, answer, key=key)
+        times.append(time.perf_counter())
+        return g
+
+    question, g, after = jax.block_until_ready(episode(run, world, config, ask, key=key))
+    times.append(time.perf_counter())
+    facts = facts_of(run, question, g, after, config)
+    facts["seconds"] = dict(zip(("propose", "judge", "learn"), np.diff(times).tolist(), strict=True))
+    store.finish_episode(run_id, k, facts, pack(after))
+    watch(facts)
+    return after
+
+
+def asked(store: Store, run_id: str, k: int, run: Run, question: Question, answer: Answer, *, key: Key) -> float:
+    """The answer to episode k's question, which is written down first: from the store if it is there, or the judge."""
     if question.searched and not question.report.finite:
         raise FitDiverged(
             f"the policy search of episode {k} gave numbers that are not finite; imagined returns must be finite. "
@@ -160,24 +176,6 @@ def one_episode(
         )
     new, other = int(run.T.count), int(question.other)
     store.open_question(run_id, k, new, question.tau, "policy" if question.searched else "random", new, other)
-    proposed = time.perf_counter()
-    g = asked(store, run_id, k, run, question, answer, key=ask_key)
-    answered = time.perf_counter()
-    after = learn(run, question, g, world, config, key=learn_key)
-    jax.block_until_ready(after)
-    facts = facts_of(run, question, g, after, config)
-    facts["seconds"] = {
-        "propose": proposed - began,
-        "judge": answered - proposed,
-        "learn": time.perf_counter() - answered,
-    }
-    store.finish_episode(run_id, k, facts, pack(after))
-    watch(facts)
-    return after
-
-
-def asked(store: Store, run_id: str, k: int, run: Run, question: Question, answer: Answer, *, key: Key) -> float:
-    """The answer to episode k's question: from the store if it is there, from the judge if not."""
     g = store.answer_of(run_id, k)
     if g is None:
         try:

@@ -34,9 +34,15 @@ def test_transitions_are_those_of_each_trajectory_in_turn(seed, ns):
     rows = jax.tree.map(np.asarray, set_of(taus).transitions())
     assert rows.mask.shape == (N * H,) and int(rows.mask.sum()) == sum(ns)
     seen = np.asarray(rows.mask)
-    np.testing.assert_array_equal(rows.s[seen], np.concatenate([np.asarray(tau.states)[:n] for tau, n in zip(taus, ns, strict=True)]))
-    np.testing.assert_array_equal(rows.a[seen], np.concatenate([np.asarray(tau.actions)[:n] for tau, n in zip(taus, ns, strict=True)]))
-    np.testing.assert_array_equal(rows.s_next[seen], np.concatenate([np.asarray(tau.states)[1 : n + 1] for tau, n in zip(taus, ns, strict=True)]))
+    np.testing.assert_array_equal(
+        rows.s[seen], np.concatenate([np.asarray(tau.states)[:n] for tau, n in zip(taus, ns, strict=True)])
+    )
+    np.testing.assert_array_equal(
+        rows.a[seen], np.concatenate([np.asarray(tau.actions)[:n] for tau, n in zip(taus, ns, strict=True)])
+    )
+    np.testing.assert_array_equal(
+        rows.s_next[seen], np.concatenate([np.asarray(tau.states)[1 : n + 1] for tau, n in zip(taus, ns, strict=True)])
+    )
     assert int(rows.terminated[seen].sum()) == sum(n % 2 == 0 for n in ns)
 
 

@@ -50,6 +50,7 @@ def facts(k: int, *, warm_up: int = 5, top: float = 3000.0, draw: np.random.Gene
     }
     if searched:
         imagined = 0.3 * true_return * draw.uniform(0.9, 1.5)
+        off = 3 * np.exp(-k / 8) * draw.uniform(0.8, 1.3)
         found |= {
             "imagined": float(imagined),
             "imagined_worst": float(imagined * draw.uniform(0.6, 0.95)),

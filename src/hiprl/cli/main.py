@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import cast
 
 import tyro
 
-from hiprl.cli.commands import Command
+from hiprl.cli.commands import Command, Facts
 from hiprl.cli.interrupt import INTERRUPTED
 from hiprl.errors import HiprlError, InputError
 
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from hiprl.cli.machine import prepare
 
     prepare()
-    return run(command)
+    return run(command, as_json=command.json)
 
 
 def read(arguments: Sequence[str]) -> Command:
@@ -48,11 +48,11 @@ def read(arguments: Sequence[str]) -> Command:
     )
 
 
-def run(command: Command) -> int:
+def run(command: Callable[[], Facts], *, as_json: bool) -> int:
     """Runs a command, and turns how it ended into words on stderr and an exit status."""
     try:
         facts = command()
-        if command.json:
+        if as_json:
             print(json.dumps(facts), flush=True)
         return DONE
     except KeyboardInterrupt:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from statistics import median
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -67,7 +66,7 @@ class Lines:
         self._tally = tally
         self._console = console
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> Lines:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -104,11 +103,11 @@ class Live:
         )
         self._task = self._bar.add_task("", total=tally.K, completed=tally.done, phase=tally.phase, words="")
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> Live:
         self._bar.start()
         return self
 
-    def __exit__(self, *_: TracebackType | object) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     def stop(self) -> None:
@@ -128,7 +127,7 @@ def progress(K: int, past: Sequence[Facts], console: Console) -> Lines | Live:
     return (Live if console.is_interactive else Lines)(Tally(K, past), console)
 
 
-def duration(seconds: float) -> str:
+def duration(seconds: float | int) -> str:
     """A time in two units at the most: 41 s, 3 min 20 s, 2 h 5 min."""
     whole = round(seconds)
     if whole < 60:

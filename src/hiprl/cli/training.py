@@ -92,6 +92,8 @@ def follow(store: Store, run_id: str, world: World, answer: Answer, command: Tra
 
     def farewell() -> None:
         display.stop()
+        if events is not None:
+            events.close()
         tell(console, f"Stopped; what is finished is stored. {again}")
 
     try:

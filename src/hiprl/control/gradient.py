@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 from hiprl.control.imagined import Ends, SearchReport, SearchState, Starts, goes_on, report_of, trials
 from hiprl.control.policy import SquashedPolicy, Value
 from hiprl.hallucinated import Hallucinated
+from hiprl.models.fit import descend, descent
 from hiprl.models.network import Activation, Scaler
 from hiprl.types import Key, Reward, Scalar, State, stacked_size
 
@@ -55,8 +56,8 @@ class GradientConfig:
     """Weight of the policy's entropy, in units of a typical reward."""
     target_rate: float = 0.02
     """Share by which the target value moves to the value, each update."""
-    max_gradient: float = 1.0
-    """Norm to which the policy's gradient is cut."""
+    max_gradient: float = 1e-3
+    """Norm to which the gradient of the return, in units of a typical one, is cut."""
     from_start: float = 0.1
     """Share of imagined rollouts that begin where episodes begin, not at any seen state."""
     trial_steps: int = 300
@@ -147,8 +148,7 @@ def gradient_search(
             return -jnp.sum(returns * alive) / (jnp.sum(alive) * scale), (s, returns, alive)
 
         gradient, (s, returns, alive) = jax.grad(policy_loss, has_aux=True)(policy)
-        changes, policy_state = policy_opt.update(frozen_inputs(gradient), policy_state, policy)
-        policy = eqx.apply_updates(policy, changes)
+        policy, policy_state = descend(policy_opt, policy, frozen_inputs(gradient), policy_state)
 
         flat_s, goal, weight = s.reshape(-1, s.shape[-1]), returns.reshape(-1) / scale, alive.reshape(-1)
         goal = jax.lax.stop_gradient(goal)
@@ -159,10 +159,8 @@ def gradient_search(
 
         def value_step(carry, rows):
             value, target, value_state = carry
-            changes, value_state = value_opt.update(
-                frozen_inputs(jax.grad(value_loss)(value, rows)), value_state, value
-            )
-            value = eqx.apply_updates(value, changes)
+            gradient = frozen_inputs(jax.grad(value_loss)(value, rows))
+            value, value_state = descend(value_opt, value, gradient, value_state)
             target = jax.tree.map(lambda t, v: t + config.target_rate * (v - t), target, value)
             return (value, target, value_state), None
 
@@ -186,7 +184,7 @@ def gradient_search(
         best = jax.tree.map(keep, SearchState(policy, value), best)
         return (learner, best, jax.tree.map(keep, report, best_report)), report.worst
 
-    learner = (policy, value, value, policy_opt.init(policy), value_opt.init(value))
+    learner = (policy, value, value, descent(policy_opt, policy), descent(value_opt, value))
     carry = (learner, SearchState(policy, value), SearchReport.nothing())
     (_, best, report), _ = jax.lax.scan(chunk, carry, jr.split(key, config.chunks))
     return best, report

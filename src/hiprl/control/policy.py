@@ -123,30 +123,20 @@ class Value(eqx.Module):
 
 
 class Uniform(Actor):
-    """The random agent of the warm-up: each action uniform in the box, whatever the state."""
+    """The random agent of the warm-up: each action uniform in a box of its own size, whatever the state.
 
-    q: int = eqx.field(static=True)
-
-    def act(self, s: State, *, key: Key) -> Action:
-        return jr.uniform(key, (self.q,), minval=-1.0, maxval=1.0)
-
-
-class Babble(Actor):
-    """A random agent that does something else each time: a linear policy drawn at random, and noise.
-
-    Independent uniform actions average out, so that one random episode is like another and comparing them says next
-    to nothing. Episodes of this agent differ in posture, movement and effort.
+    With one size for all, random episodes are alike and comparing them says next to nothing; episodes of different
+    effort at once tell what effort is worth to the judge.
     """
 
-    gain: Float[Array, "p q"]
-    bias: Float[Array, " q"]
-    inputs: Scaler
+    size: Scalar
+    """Of the box: actions lie in [-size, size]; at most 1."""
+    q: int = eqx.field(static=True)
 
     @classmethod
-    def draw(cls, inputs: Scaler, q: int, *, key: Key) -> Babble:
-        gain_key, bias_key = jr.split(key)
-        p = inputs.mean.shape[0]
-        return cls(jr.normal(gain_key, (p, q)) / math.sqrt(p), 0.5 * jr.normal(bias_key, (q,)), inputs)
+    def draw(cls, q: int, *, key: Key) -> Uniform:
+        """One whose box has any size up to the whole."""
+        return cls(jr.uniform(key), q)
 
     def act(self, s: State, *, key: Key) -> Action:
-        return jnp.tanh(self.inputs.down(s) @ self.gain + self.bias + 0.4 * jr.normal(key, self.bias.shape))
+        return self.size * jr.uniform(key, (self.q,), minval=-1.0, maxval=1.0)

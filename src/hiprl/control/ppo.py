@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 from hiprl.control.imagined import Ends, SearchReport, SearchState, Starts, goes_on, report_of, trials
 from hiprl.control.policy import LOG_ROOT_2PI, ClippedPolicy, Value, log_normal
 from hiprl.hallucinated import Hallucinated
+from hiprl.models.fit import descend, descent
 from hiprl.models.network import Activation, Scaler
 from hiprl.types import Key, Reward, Scalar, stacked_size
 
@@ -193,8 +194,7 @@ def ppo_search(
                 rows, weight = now
                 batch = jax.tree.map(lambda x: x[rows], samples)
                 gradient = jax.grad(loss)(learner, batch, weight)
-                changes, opt_state = optimiser.update(without_units(gradient), opt_state)
-                return (eqx.apply_updates(learner, changes), opt_state), None
+                return descend(optimiser, learner, without_units(gradient), opt_state), None
 
             return jax.lax.scan(step, carry, (order.reshape(minibatches, -1), weight))[0], None
 
@@ -204,7 +204,7 @@ def ppo_search(
 
     begin_key, iterate_key, trial_key = jr.split(key, 3)
     learner = SearchState(policy, value)
-    carry = (learner, optimiser.init(learner), Rollouts(begin(begin_key), jnp.zeros(config.rollouts)))
+    carry = (learner, descent(optimiser, learner), Rollouts(begin(begin_key), jnp.zeros(config.rollouts)))
     n = -(-config.total_timesteps // config.n_steps)
     (learner, _, _), _ = jax.lax.scan(iteration, carry, jr.split(iterate_key, n))
     trial = {"steps": config.trial_steps, "n": config.trial_starts}

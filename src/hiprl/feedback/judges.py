@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Any, TypeAlias, cast
 
 import jax.random as jr
+import numpy as np
 
 from hiprl.data.preference import gap
 from hiprl.data.trajectory import Trajectory
@@ -36,15 +37,15 @@ def noisy(std: float) -> Answer:
     return answer
 
 
-def judge_from(judge: str | Judge) -> Answer:
+def judge_from(judge: Any) -> Answer:
     """A judge from `exact`, `noisy:STD`, or a function of two trajectories.
 
     Raises:
         InputError: no judge of that name, or a setting that is not a number.
     """
     if callable(judge):
-        return lambda tau, other, *, key: judge(tau.seen(), other.seen())
-    name, _, setting = judge.partition(":")
+        return lambda tau, other, *, key: cast(float, judge(tau.seen(), other.seen()))
+    name, _, setting = judge.partition(":") if isinstance(judge, str) else ("", "", "")
     if name == "exact" and not setting:
         return exact
     if name == "noisy":
@@ -73,17 +74,20 @@ def checked(answer: Answer, tau: Trajectory, other: Trajectory, *, key: Key) -> 
             f"the judge raised {type(e).__name__}: {e}; it has to give one number for two trajectories. "
             "Mend the judge and resume the run: the question is still open."
         ) from e
-    if isinstance(g, bool) or not _finite(g):
+    number = _number(g)
+    if number is None:
         raise JudgeError(
             f"the judge answered {g!r}; one finite number is needed, positive where the first trajectory is better. "
             "Mend the judge and resume the run: the question is still open. (An environment that pays no reward "
             "needs a judge of your own.)"
         )
-    return float(g)
+    return number
 
 
-def _finite(g: object) -> bool:
+def _number(g: object) -> float | None:
+    """The answer, if it is one finite number; a truth value or a text is none."""
     try:
-        return math.isfinite(float(g))  # pyright: ignore[reportArgumentType]
-    except (TypeError, ValueError):
-        return False
+        x = np.asarray(g)
+    except ValueError:  # lists of different lengths
+        return None
+    return float(x) if x.shape == () and x.dtype.kind in "iuf" and np.isfinite(x) else None

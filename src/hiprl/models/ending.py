@@ -60,18 +60,21 @@ def estimate_ending(T: Trajectories, ending: Ending, *, key: Key) -> Ending:
     z = jax.vmap(inputs.down)(x)
     ends, others = RowDraw.of(rows.mask & rows.terminated), RowDraw.of(rows.mask & ~rows.terminated)
 
-    def loss(net: MLP, key: Key) -> Scalar:
+    def minibatch(key: Key) -> tuple[Float[Array, "n x"], Float[Array, "n x"]]:
         end_key, other_key = jr.split(key)
         half = (BATCH // 2,)
-        at_end: Float[Array, " n"] = jax.vmap(net)(z[ends(end_key, half)])[:, 0]
-        before: Float[Array, " n"] = jax.vmap(net)(z[others(other_key, half)])[:, 0]
-        return jnp.mean(jax.nn.softplus(-at_end)) + jnp.mean(jax.nn.softplus(before))
+        return z[ends(end_key, half)], z[others(other_key, half)]
+
+    def loss(net: MLP, at_end: Float[Array, "n x"], before: Float[Array, "n x"]) -> Scalar:
+        ended, went_on = jax.vmap(net)(at_end), jax.vmap(net)(before)
+        return jnp.mean(jax.nn.softplus(-ended)) + jnp.mean(jax.nn.softplus(went_on))
 
     fit_key, judge_key = jr.split(key)
+    judged = minibatch(judge_key)
     net, _ = fit(
         net,
-        loss,
-        lambda net: loss(net, judge_key),
+        lambda net, key: loss(net, *minibatch(key)),
+        lambda net: loss(net, *judged),
         optax.adamw(1e-3, weight_decay=1e-3),
         chunk=CHUNK,
         max_chunks=STEPS // CHUNK,

@@ -1,5 +1,6 @@
-"""Features of one state and action in which the latent reward is linear: a bias, each coordinate, and a smooth
-function of each coordinate.
+"""Features of a state and an action in which the latent reward is linear: a bias, and a function of each coordinate.
+
+Each coordinate counts in proportion and, on top, by a smooth function.
 
 The smooth part is a Gaussian process with squared exponential kernel in each standardised coordinate, written in the
 first Mercer functions of that kernel under a standard normal input. With a lengthscale of 4 their prior variances
@@ -17,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hiprl.models.network import Scaler
-from hiprl.types import Action, State
+from hiprl.types import Action, Scalar, State
 
 LENGTHSCALE = 4.0  # in standard deviations of the data
 DEGREE = 6  # Mercer functions a coordinate
@@ -56,6 +57,14 @@ class AdditiveFeatures(eqx.Module):
     def __call__(self, s: State, a: Action) -> Float[Array, " D"]:
         return raw_features(self.coordinates(s, a)) - self.centre
 
+    def dot(self, s: State, a: Action, weights: Float[Array, " D"]) -> Scalar:
+        """φ(s, a)ᵀ weights without writing φ out: what a search evaluates at every imagined step."""
+        x = self.coordinates(s, a)
+        n = x.shape[0]
+        by_degree = weights[1 + n :].reshape(n, DEGREE)
+        smooth = sum(by_degree[:, m] * h for m, h in enumerate(hermite(x)))
+        return weights[0] + weights[1 : 1 + n] @ x + jnp.sum(envelope(x) * smooth) - self.centre @ weights
+
     def prior(self, linear: Float[Array, ""], smooth: Float[Array, ""]) -> Float[Array, " D"]:
         """Prior variance of each weight, for these variances of the linear and of the smooth part."""
         n = self.low.shape[0]
@@ -70,11 +79,20 @@ def raw_features(x: Float[Array, " n"]) -> Float[Array, " D"]:
     return jnp.concatenate([jnp.ones(1), x, mercer(x).reshape(-1)])
 
 
+def hermite(x: Float[Array, " n"]) -> list[Float[Array, " n"]]:
+    """Hermite polynomials by degree, each with the factor that makes it a Mercer function but for the envelope."""
+    u = math.sqrt(2 * _C) * x
+    H = [jnp.ones_like(u), 2 * u]
+    for n in range(1, DEGREE - 1):
+        H.append(2 * u * H[n] - 2 * n * H[n - 1])
+    return [norm * h for norm, h in zip(_NORMS.tolist(), H, strict=True)]
+
+
+def envelope(x: Float[Array, " n"]) -> Float[Array, " n"]:
+    """What all Mercer functions have in common: they fall off slowly away from the data."""
+    return jnp.exp(-(_C - _A) * x**2)
+
+
 def mercer(x: Float[Array, " n"]) -> Float[Array, "n m"]:
     """The first Mercer functions of the squared exponential kernel at each standardised coordinate."""
-    u = math.sqrt(2 * _C) * x
-    hermite = [jnp.ones_like(u), 2 * u]
-    for n in range(1, DEGREE - 1):
-        hermite.append(2 * u * hermite[n] - 2 * n * hermite[n - 1])
-    envelope = jnp.exp(-(_C - _A) * x**2)
-    return envelope[:, None] * jnp.stack(hermite, axis=1) * jnp.asarray(_NORMS, x.dtype)
+    return envelope(x)[:, None] * jnp.stack(hermite(x), axis=1)

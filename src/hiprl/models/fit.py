@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -14,6 +13,20 @@ import optax
 from hiprl.types import Count, Key, Scalar
 
 Params = TypeVar("Params")
+
+
+def descent(optimiser: optax.GradientTransformation, params: Any) -> Any:
+    """The state of an optimiser before its first step."""
+    return optimiser.init(params)
+
+
+def descend(
+    optimiser: optax.GradientTransformation, params: Params, gradient: Params, state: Any
+) -> tuple[Params, Any]:
+    """One step of an optimiser: the new parameters and its new state."""
+    # optax's own type for parameters knows no modules
+    updates, state = optimiser.update(cast(Any, gradient), state, cast(Any, params))
+    return cast(Params, optax.apply_updates(cast(Any, params), updates)), state
 
 
 class FitReport(NamedTuple):
@@ -51,8 +64,7 @@ def fit(
     def step(carry: tuple[Params, Any], step_key: Key):
         params, opt_state = carry
         gradient = jax.grad(train_loss)(params, step_key)
-        updates, opt_state = optimiser.update(gradient, opt_state, params)  # pyright: ignore[reportArgumentType]
-        return (optax.apply_updates(params, updates), opt_state), None  # pyright: ignore[reportArgumentType]
+        return descend(optimiser, params, gradient, opt_state), None
 
     def go_on(state: Any):
         _, _, _, _, n, since_best, _ = state
@@ -69,7 +81,6 @@ def fit(
         return params, opt_state, best, jnp.where(better, loss, best_loss), n + 1, since_best, key
 
     zero = jnp.zeros((), jnp.int32)
-    opt_state = optimiser.init(eqx.filter(params, eqx.is_array))
-    start = (params, opt_state, params, jnp.asarray(jnp.inf), zero, zero, key)
+    start = (params, descent(optimiser, params), params, jnp.asarray(jnp.inf), zero, zero, key)
     _, _, best, best_loss, n, _, _ = jax.lax.while_loop(go_on, one_chunk, start)
     return best, FitReport(loss=best_loss, steps=n * chunk)

@@ -74,7 +74,7 @@ class AdditiveReward(EstimatedReward):
     """Leave-one-out error of each answer over its own σ; 0 past the count."""
 
     def __call__(self, s: State, a: Action) -> Scalar:
-        return jnp.clip(self.features(s, a) @ self.mean, self.low, self.high)
+        return jnp.clip(self.features.dot(s, a, self.mean), self.low, self.high)
 
     def gap(self, tau: Trajectory, other: Trajectory) -> Gap:
         psi = summed(self.features, tau) - summed(self.features, other)
@@ -177,7 +177,7 @@ def _posterior(
 def _additive_reward(T: Trajectories, features, mean, prior, root, loo) -> AdditiveReward:
     """The posterior with the range of r̂ over the steps of T."""
     rows = T.transitions()
-    r = jax.vmap(lambda s, a: features(s, a) @ mean)(rows.s, rows.a)
+    r = jax.vmap(lambda s, a: features.dot(s, a, mean))(rows.s, rows.a)
     low = jnp.min(jnp.where(rows.mask, r, jnp.inf))
     high = jnp.max(jnp.where(rows.mask, r, -jnp.inf))
     margin = BOX_MARGIN * (high - low)

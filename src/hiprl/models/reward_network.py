@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from hiprl.data.preference import Preferences
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
+from hiprl.models.fit import descend, descent
 from hiprl.models.network import MLP, Activation, Scaler, state_action_scaler
 from hiprl.models.reward import EstimatedReward, Gap, typical_size
 from hiprl.types import Action, Key, Scalar, State
@@ -94,9 +95,8 @@ def estimate_network_reward(
 
     def step(carry, _):
         nets, opt_state = carry
-        changes, opt_state = optimiser.update(jax.grad(loss)(nets), opt_state)
-        return (eqx.apply_updates(nets, changes), opt_state), None
+        return descend(optimiser, nets, jax.grad(loss)(nets), opt_state), None
 
-    (nets, _), _ = jax.lax.scan(step, (nets, optimiser.init(nets)), length=config.steps)
+    (nets, _), _ = jax.lax.scan(step, (nets, descent(optimiser, nets)), length=config.steps)
     trained = NetworkReward(jnp.ones(()), nets, inputs)
     return eqx.tree_at(lambda r: r.unit, trained, typical_size(trained, T))

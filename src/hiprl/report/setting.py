@@ -45,7 +45,7 @@ def of_preset(name: str, row: RunRow) -> Mapping[str, Any]:
 def departures(usual: Mapping[str, str], stored: Mapping[str, str]) -> dict[str, str]:
     """Fields whose values differ. Of a part that is another one altogether only its name is told."""
     changed = {name: value for name, value in stored.items() if usual.get(name) != value}
-    parts = [name for name in changed if f"{name}.part" in stored and usual.get(name) is not None]
+    parts = [name for name in changed if stored.get(f"{name}.part") != usual.get(f"{name}.part")]
     return {
         name: value
         for name, value in changed.items()

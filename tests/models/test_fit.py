@@ -1,0 +1,61 @@
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import optax
+import pytest
+
+from hiprl.models.fit import fit
+
+
+def run(train_loss, held_out_loss, *, start=5.0, rate=0.1, chunk=7, max_chunks=11, patience=3):
+    params = {"w": jnp.asarray(start)}
+    optimiser = optax.sgd(rate)
+    rest = {"chunk": chunk, "max_chunks": max_chunks, "patience": patience, "key": jr.key(1)}
+    return fit(params, train_loss, held_out_loss, optimiser, **rest)
+
+
+def test_a_fit_finds_the_least_loss():
+    loss = lambda params: (params["w"] - 2.0) ** 2  # noqa: E731
+    params, report = run(lambda params, key: loss(params), loss)
+    assert float(params["w"]) == pytest.approx(2.0, abs=1e-4)
+    assert float(report.loss) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_fit_stops_when_the_held_out_loss_stops_falling_and_keeps_the_best():
+    # training pulls w from 5 down to 0; what was held out is best at 3
+    params, report = run(lambda params, key: params["w"], lambda params: (params["w"] - 3.0) ** 2)
+    # w falls by 0.7 a chunk: 4.3, 3.6, 2.9 (best), 2.2, 1.5, 0.8, and then patience is at its end
+    assert float(params["w"]) == pytest.approx(2.9, abs=1e-5)
+    assert int(report.steps) == 6 * 7
+    assert float(report.loss) == pytest.approx(0.01, abs=1e-5)
+
+
+def test_a_fit_ends_with_its_last_chunk():
+    _, report = run(lambda params, key: params["w"], lambda params: params["w"], max_chunks=5)
+    assert int(report.steps) == 5 * 7
+
+
+def test_steps_after_the_loss_broke_are_not_kept():
+    # the loss is not finite once w is below 3
+    params, report = run(
+        lambda params, key: params["w"], lambda params: jnp.where(params["w"] < 3, jnp.nan, params["w"])
+    )
+    assert float(params["w"]) == pytest.approx(3.6, abs=1e-5) and np.isfinite(report.loss)
+
+
+def test_each_step_draws_its_own_minibatch():
+    # the gradient is a fresh standard normal each step: the sum of 77 of them has their spread
+    ends = []
+    for seed in range(40):
+        params, _ = fit(
+            {"w": jnp.asarray(0.0)},
+            lambda params, key: params["w"] * jr.normal(key),
+            lambda params: -jnp.inf * jnp.ones(()) + 0 * params["w"],
+            optax.sgd(1.0),
+            chunk=77,
+            max_chunks=1,
+            patience=1,
+            key=jr.key(seed),
+        )
+        ends.append(float(params["w"]))
+    assert 0.5 < np.std(ends) / np.sqrt(77) < 1.5

@@ -1,0 +1,54 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from hiprl.report.record import record
+from hiprl.report.summary import recent, summary
+from hiprl.store.store import Store
+from tests.report.made_up import VERSIONS, add_run, spec
+
+KEYS = [
+    *("run", "env", "seed", "judge", "begun", "finished", "comparisons", "planned_comparisons", "env_steps"),
+    *("return_mean", "return_std", "eval_episodes", "best_executed_return", "coverage", "beta", "kappa", "alpha"),
+    *("deviation", "rollout_errors", "preference_deviation", "right_signs", "imagined", "executed", "overpromised"),
+    *("seconds", "wall_seconds", "versions", "store", "episodes"),
+]
+
+
+def test_the_numbers_of_a_finished_run(store: Store) -> None:
+    run = record(store, store.run(add_run(store, seed=3)))
+    facts = summary(run)
+    assert [*facts] == KEYS
+    assert (facts["comparisons"], facts["planned_comparisons"], facts["finished"]) == (12, 12, True)
+    assert (facts["return_mean"], facts["return_std"]) == (3030.0, 7.0)
+    assert facts["best_executed_return"] == run.best[-1]
+    assert facts["seconds"] == {"propose": 36.0, "judge": 6.0, "learn": 18.0}
+    assert facts["wall_seconds"] == 60.0
+    assert [*facts["rollout_errors"]] == ["1", "5", "20", "50"]
+    assert facts["coverage"] == pytest.approx(np.median(run.series("coverage")[4:]))
+    json.dumps(facts, allow_nan=False)
+
+
+def test_a_run_without_any_episode_has_numbers_too(store: Store) -> None:
+    run = record(store, store.run(store.add_run("Hopper-v5", 0, spec(), VERSIONS)))
+    facts = summary(run)
+    assert [*facts] == KEYS
+    assert (facts["comparisons"], facts["finished"], facts["return_mean"], facts["wall_seconds"]) == (0, False, None, 0)
+    json.dumps(facts, allow_nan=False)
+
+
+def test_signs_count_from_the_first_policy_on_and_not_where_the_answer_is_zero(store: Store) -> None:
+    run_id = store.add_run("Hopper-v5", 0, spec(), VERSIONS)
+    for k, (g, predicted, searched) in enumerate(
+        [(1.0, -1.0, False), (2.0, 3.0, True), (-2.0, 3.0, True), (0.0, 3.0, True), (-5.0, -0.1, True)], 1
+    ):
+        store.finish_episode(run_id, k, {"k": k, "g": g, "g_predicted": predicted, "searched": searched}, b"%d" % k)
+    assert summary(record(store, store.run(run_id)))["right_signs"] == pytest.approx(2 / 3)
+
+
+def test_recent_is_the_median_of_the_newest_known() -> None:
+    assert recent(np.array([100.0] * 5 + [1.0, np.nan] * 10)) == 1.0
+    assert recent(np.array([np.nan])) is None
