@@ -8,10 +8,9 @@ from typing import Literal, TypeAlias, get_args
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jax.random as jr
 from jaxtyping import Array, Float
 
-from hiprl.types import Action, Dynamics, Eta, Key, Prediction, Scalar, State
+from hiprl.types import Action, Dynamics, Eta, Prediction, Scalar, State
 
 Optimism: TypeAlias = Literal["greedy", "thompson", "eta_policy", "eta_sign", "bonus"]
 """How a search may use what the dynamics model does not know:
@@ -87,23 +86,24 @@ class Hallucinated(eqx.Module):
         s: State,
         action_and_eta: Float[Array, " q_plus"],
         *,
+        draw: State,
         value: Callable[[State], Scalar] | None = None,
-        key: Key,
     ) -> tuple[State, Scalar]:
         """The next state, noise included, and the bonus earned on the way.
 
         Args:
             s: where it is.
             action_and_eta: what a policy gives: q entries of action and, in mode `eta_policy`, p of η.
+            draw: standard normal, for the noise of the world. A rollout draws for all its steps at once: one
+                by one, the draws would cost as much as the networks.
             value: V, needed by `eta_sign`; without it that mode is greedy.
-            key: for the noise of the world.
         """
         a, eta = self.split(action_and_eta)
         belief = self.dynamics.predict(s, a)
         if self.mode == "eta_sign" and value is not None:
             # V's slope is taken at μ; η is constant to the gradient of the search
             eta = jax.lax.stop_gradient(jnp.sign(jax.grad(value)(belief.mu)))
-        s_next = hallucinate(belief.mu, belief.sigma, eta, self.beta) + belief.noise * jr.normal(key, s.shape)
+        s_next = hallucinate(belief.mu, belief.sigma, eta, self.beta) + belief.noise * draw
         return jnp.clip(s_next, self.low, self.high), self.bonus_of(belief)
 
     def bonus_of(self, belief: Prediction) -> Scalar:

@@ -25,6 +25,7 @@ from hiprl.algorithm import (
     Scores,
     begin,
     best_actor,
+    episode,
     no_trajectories,
     nothing_known,
     scored,

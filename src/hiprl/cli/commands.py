@@ -76,12 +76,6 @@ class Train:
     json: Json = False
     """End with one JSON object on the last line of stdout."""
 
-    def __call__(self) -> Facts:
-        """Does it."""
-        from hiprl.cli.training import train
-
-        return train(self)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Resume:
@@ -100,12 +94,6 @@ class Resume:
     json: Json = False
     """End with one JSON object on the last line of stdout, the same as train gives."""
 
-    def __call__(self) -> Facts:
-        """Does it."""
-        from hiprl.cli.training import resume
-
-        return resume(self)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Show:
@@ -121,12 +109,6 @@ class Show:
     """Folder for the pictures (PNG), made if there is none."""
     json: Json = False
     """End with one JSON object on the last line of stdout; the table goes to stderr."""
-
-    def __call__(self) -> Facts:
-        """Does it."""
-        from hiprl.cli.showing import show
-
-        return show(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,12 +141,6 @@ class Compare:
     """Folder for the picture (PNG), made if there is none."""
     json: Json = False
     """End with one JSON object on the last line of stdout; the table goes to stderr."""
-
-    def __call__(self) -> Facts:
-        """Does it."""
-        from hiprl.cli.showing import compare
-
-        return compare(self)
 
 
 Command: TypeAlias = (

@@ -6,11 +6,12 @@ import json
 import os
 import sys
 from collections.abc import Callable, Sequence
+from io import TextIOWrapper
 from typing import cast
 
 import tyro
 
-from hiprl.cli.commands import Command, Facts
+from hiprl.cli.commands import Command, Compare, Facts, Resume, Show, Train
 from hiprl.cli.interrupt import INTERRUPTED
 from hiprl.errors import HiprlError, InputError
 
@@ -23,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The exit status: 0 done, 1 failed, 2 wrong input, 130 stopped by Ctrl-C."""
     arguments = sys.argv[1:] if arguments is None else arguments
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
+        if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that has no ± shows something else
     if arguments == ["--version"]:
         from importlib.metadata import version
@@ -37,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from hiprl.cli.machine import prepare
 
     prepare()
-    return run(command, as_json=command.json)
+    return run(lambda: do(command), as_json=command.json)
 
 
 def read(arguments: Sequence[str]) -> Command:
@@ -46,6 +47,21 @@ def read(arguments: Sequence[str]) -> Command:
     return cast(
         "Command", tyro.cli(Command, prog="hiprl", description=DESCRIPTION, args=list(arguments), config=settings)
     )
+
+
+def do(command: Command) -> Facts:
+    """Does what a command says. What that needs takes seconds to import, and is imported here."""
+    from hiprl.cli import showing, training
+
+    match command:
+        case Train():
+            return training.train(command)
+        case Resume():
+            return training.resume(command)
+        case Show():
+            return showing.show(command)
+        case Compare():
+            return showing.compare(command)
 
 
 def run(command: Callable[[], Facts], *, as_json: bool) -> int:

@@ -18,7 +18,7 @@ import jax.random as jr
 import optax
 from jaxtyping import Array, Float
 
-from hiprl.control.imagined import Ends, SearchReport, SearchState, Starts, goes_on, report_of, trials
+from hiprl.control.imagined import Ends, SearchReport, SearchState, Starts, along, report_of, trials
 from hiprl.control.policy import SquashedPolicy, Value
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.fit import descend, descent
@@ -103,20 +103,19 @@ def gradient_search(
     policy_opt = optax.chain(optax.clip_by_global_norm(config.max_gradient), optax.adam(config.policy_rate))
     value_opt = optax.adam(config.value_rate)
 
-    def imagine(world: Hallucinated, policy: SquashedPolicy, target: Value, s_0: State, key: Key):
+    def imagine(world: Hallucinated, policy: SquashedPolicy, target: Value, s_0: State, draws: tuple[Array, Array]):
         """States, TD(λ) returns and weights along one rollout; the returns carry the policy's gradient."""
 
-        def step(carry: tuple[State, Scalar], step_key: Key):
-            s, alive = carry
-            act_key, f_key = jr.split(step_key)
-            u, log_prob = policy.sample_with_log_prob(s, key=act_key)
-            s_next, bonus = world.step(s, u, value=target, key=f_key)
-            a, _ = world.split(u)
-            r = reward(s, a) + bonus - config.entropy * unit * log_prob
-            on = goes_on(ends, s, a, s_next)
-            return (s_next, alive * on), (s, s_next, r, on, alive)
+        # What one step needs of the one before, and no more: the rest is cheaper for all steps at once.
+        def step(s: State, now: tuple[Float[Array, " size"], State]):
+            act_draw, f_draw = now
+            u, log_prob = policy.with_log_prob(s, act_draw)
+            s_next, bonus = world.step(s, u, draw=f_draw, value=target)
+            return s_next, (s, world.split(u)[0], s_next, bonus - config.entropy * unit * log_prob)
 
-        _, (s, s_next, r, on, alive) = jax.lax.scan(step, (s_0, jnp.ones(())), jr.split(key, config.steps))
+        _, (s, a, s_next, extra) = jax.lax.scan(step, s_0, draws)
+        r = jax.vmap(reward)(s, a) + extra
+        on, alive = along(ends, s, a, s_next)
         v_next = jax.vmap(target)(s_next)
 
         def backward(after: Scalar, now: tuple[Scalar, Scalar, Scalar]):
@@ -139,12 +138,13 @@ def gradient_search(
 
     def update(carry, update_key: Key):
         policy, value, target, policy_state, value_state = carry
-        start_key, roll_key = jr.split(update_key)
+        start_key, act_key, f_key = jr.split(update_key, 3)
         s_0 = draw_starts(start_key)
-        keys = jr.split(roll_key, (M, config.rollouts))
+        shape = (M, config.rollouts, config.steps)
+        draws = jr.normal(act_key, (*shape, policy.size)), jr.normal(f_key, (*shape, s_0.shape[-1]))
 
         def policy_loss(policy: SquashedPolicy):
-            s, returns, alive = over_worlds(worlds, policy, target, s_0, keys)
+            s, returns, alive = over_worlds(worlds, policy, target, s_0, draws)
             return -jnp.sum(returns * alive) / (jnp.sum(alive) * scale), (s, returns, alive)
 
         gradient, (s, returns, alive) = jax.grad(policy_loss, has_aux=True)(policy)

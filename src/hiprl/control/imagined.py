@@ -25,6 +25,14 @@ def goes_on(ends: Ends | None, s: State, a: Action, s_next: State) -> Scalar:
     return jnp.ones(()) if ends is None else jnp.where(ends(s, a, s_next), 0.0, 1.0)
 
 
+def along(
+    ends: Ends | None, s: Float[Array, "h p"], a: Float[Array, "h q"], s_next: Float[Array, "h p"]
+) -> tuple[Float[Array, " h"], Float[Array, " h"]]:
+    """For each step of an imagined rollout: whether the episode goes on after it, and whether it had gone on so far."""
+    on = jax.vmap(goes_on, in_axes=(None, 0, 0, 0))(ends, s, a, s_next)
+    return on, jnp.cumprod(jnp.concatenate([jnp.ones(1), on[:-1]]))
+
+
 class SearchState(eqx.Module):
     """What one search hands to the next."""
 
@@ -78,20 +86,18 @@ def trials(
 ) -> Float[Array, "M n"]:
     """Return by r̂ of `steps` steps without exploration: `n` times in each world, from where episodes begin."""
 
-    def one(world: Hallucinated, s_0: State, key: Key) -> Scalar:
-        def step(carry: tuple[State, Scalar], step_key: Key):
-            s, alive = carry
+    def one(world: Hallucinated, s_0: State, draws: Float[Array, "steps p"]) -> Scalar:
+        def step(s: State, draw: State):
             u = policy.mode(s)
-            s_next, _ = world.step(s, u, key=step_key)
-            a, _ = world.split(u)
-            on = goes_on(ends, s, a, s_next)
-            return (s_next, alive * on), alive * reward(s, a)
+            s_next, _ = world.step(s, u, draw=draw)
+            return s_next, (s, world.split(u)[0], s_next)
 
-        _, r = jax.lax.scan(step, (s_0, jnp.ones(())), jr.split(key, steps))
-        return jnp.sum(r)
+        _, (s, a, s_next) = jax.lax.scan(step, s_0, draws)
+        _, alive = along(ends, s, a, s_next)
+        return jnp.sum(alive * jax.vmap(reward)(s, a))
 
-    start_key, roll_key = jr.split(key)
-    M = stacked_size(worlds)
+    start_key, draw_key = jr.split(key)
+    M, p = stacked_size(worlds), first.shape[1]
     s_0 = jr.choice(start_key, first, (M, n))
-    keys = jr.split(roll_key, (M, n))
-    return jax.vmap(jax.vmap(one, in_axes=(None, 0, 0)))(worlds, s_0, keys)
+    draws = jr.normal(draw_key, (M, n, steps, p))
+    return jax.vmap(jax.vmap(one, in_axes=(None, 0, 0)))(worlds, s_0, draws)

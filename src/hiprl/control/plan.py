@@ -69,24 +69,24 @@ class Mpc(Actor):
     def act(self, s: State, *, key: Key) -> Action:
         config = self.config
         model_key, propose_key = jr.split(key)
-        model_keys = jr.split(model_key, config.horizon)  # common random numbers: proposals differ in (a, η) only
+        draws = jr.normal(model_key, (config.horizon, s.shape[0]))  # the same for all: proposals differ in (a, η) only
 
-        def follow(s: State, key: Key):
+        def follow(s: State, draw: State):
             u = self.state.policy.mode(s)
-            return self.f_tilde.step(s, u, value=self.state.value, key=key)[0], u
+            return self.f_tilde.step(s, u, draw=draw, value=self.state.value)[0], u
 
-        _, own = jax.lax.scan(follow, s, model_keys)
+        _, own = jax.lax.scan(follow, s, draws)
 
         def worth(sequence: Float[Array, "h size"]) -> Scalar:
-            def step(carry: tuple[State, Scalar], now: tuple[Float[Array, " size"], Key]):
+            def step(carry: tuple[State, Scalar], now: tuple[Float[Array, " size"], State]):
                 s, weight = carry
-                u, key = now
-                s_next, bonus = self.f_tilde.step(s, u, value=self.state.value, key=key)
+                u, draw = now
+                s_next, bonus = self.f_tilde.step(s, u, draw=draw, value=self.state.value)
                 a, _ = self.f_tilde.split(u)
                 on = goes_on(self.ends, s, a, s_next)
                 return (s_next, weight * self.gamma * on), weight * (self.reward(s, a) + bonus)
 
-            (s_end, weight), r = jax.lax.scan(step, (s, jnp.ones(())), (sequence, model_keys))
+            (s_end, weight), r = jax.lax.scan(step, (s, jnp.ones(())), (sequence, draws))
             return jnp.sum(r) + weight * self.state.value(s_end)
 
         def improve(carry, key: Key):

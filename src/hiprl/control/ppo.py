@@ -121,36 +121,42 @@ def ppo_search(
     M = stacked_size(worlds) if axis == 0 else 1
     per_world = config.rollouts // M
 
-    def begin(key: Key) -> Float[Array, "n p"]:
-        return jr.choice(key, starts.first, (config.rollouts,))
+    def begin(key: Key, shape: tuple[int, ...]) -> Float[Array, "*shape p"]:
+        return jr.choice(key, starts.first, shape)
 
-    def step_each(worlds: Hallucinated, value: Value, s, u, keys):
-        one = lambda world, s, u, key: world.step(s, u, value=value, key=key)  # noqa: E731
+    def step_each(worlds: Hallucinated, value: Value, s, u, draws):
+        one = lambda world, s, u, draw: world.step(s, u, draw=draw, value=value)  # noqa: E731
         if axis is None:
-            return jax.vmap(one, in_axes=(None, 0, 0, 0))(worlds, s, u, keys)
+            return jax.vmap(one, in_axes=(None, 0, 0, 0))(worlds, s, u, draws)
         # rollouts i, i + M, ... live in member i
         by_world = lambda x: x.reshape(M, per_world, *x.shape[1:])  # noqa: E731
-        s, bonus = jax.vmap(jax.vmap(one, in_axes=(None, 0, 0, 0)))(worlds, by_world(s), by_world(u), by_world(keys))
+        s, bonus = jax.vmap(jax.vmap(one, in_axes=(None, 0, 0, 0)))(worlds, by_world(s), by_world(u), by_world(draws))
         return s.reshape(config.rollouts, -1), bonus.reshape(-1)
 
     def imagine(policy: ClippedPolicy, value: Value, rollouts: Rollouts, key: Key) -> tuple[Rollouts, Samples]:
-        def step(now: Rollouts, step_key: Key):
-            act_key, f_key, begin_key = jr.split(step_key, 3)
-            n = config.rollouts
-            u = jax.vmap(lambda s, key: policy.raw_sample(s, key=key))(now.s, jr.split(act_key, n))
+        act_key, f_key, begin_key = jr.split(key, 3)
+        n, p = rollouts.s.shape
+        act_draws = jr.normal(act_key, (config.length, n, policy.log_std.shape[0]))
+        f_draws = jr.normal(f_key, (config.length, n, p))
+        first = begin(begin_key, (config.length, n))
+
+        # What one step needs of the one before, and no more: the rest is cheaper for all steps at once.
+        def step(now: Rollouts, draws):
+            act_draw, f_draw, first = draws
             mean, log_std = jax.vmap(policy.gaussian, out_axes=(0, None))(now.s)
-            log_prob = jax.vmap(log_normal, in_axes=(0, 0, None))(u, mean, log_std)
+            u = mean + jnp.exp(log_std) * act_draw
             box = jnp.clip(u, -1.0, 1.0)
-            s_next, bonus = step_each(worlds, value, now.s, box, jr.split(f_key, n))
+            s_next, bonus = step_each(worlds, value, now.s, box, f_draw)
             a = jax.vmap(lambda u: f_tilde.split(u)[0])(box)
-            r = jax.vmap(reward)(now.s, a) + bonus
             on = jax.vmap(goes_on, in_axes=(None, 0, 0, 0))(ends, now.s, a, s_next)
             old = now.age + 1 >= H
             fresh = old | (on == 0)
-            then = Rollouts(jnp.where(fresh[:, None], begin(begin_key), s_next), jnp.where(fresh, 0, now.age + 1))
-            return then, (now.s, u, log_prob, r, on, s_next, fresh)
+            then = Rollouts(jnp.where(fresh[:, None], first, s_next), jnp.where(fresh, 0, now.age + 1))
+            return then, (now.s, u, a, bonus, on, s_next, fresh)
 
-        rollouts, (s, u, log_prob, r, on, s_next, fresh) = jax.lax.scan(step, rollouts, jr.split(key, config.length))
+        rollouts, (s, u, a, bonus, on, s_next, fresh) = jax.lax.scan(step, rollouts, (act_draws, f_draws, first))
+        r = jax.vmap(jax.vmap(reward))(s, a) + bonus
+        log_prob = jnp.sum(-0.5 * act_draws**2 - policy.log_std - LOG_ROOT_2PI, axis=-1)
         v, v_next = jax.vmap(jax.vmap(value))(s), jax.vmap(jax.vmap(value))(s_next)
         delta = r + config.gamma * on * v_next - v
 
@@ -204,7 +210,11 @@ def ppo_search(
 
     begin_key, iterate_key, trial_key = jr.split(key, 3)
     learner = SearchState(policy, value)
-    carry = (learner, descent(optimiser, learner), Rollouts(begin(begin_key), jnp.zeros(config.rollouts)))
+    carry = (
+        learner,
+        descent(optimiser, learner),
+        Rollouts(begin(begin_key, (config.rollouts,)), jnp.zeros(config.rollouts)),
+    )
     n = -(-config.total_timesteps // config.n_steps)
     (learner, _, _), _ = jax.lax.scan(iteration, carry, jr.split(iterate_key, n))
     trial = {"steps": config.trial_steps, "n": config.trial_starts}

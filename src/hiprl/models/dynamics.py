@@ -68,8 +68,8 @@ def new_dynamics(T: Trajectories, config: DynamicsConfig, *, key: Key) -> Dynami
 
 def nll(member: Member, s: Float[Array, " p"], a: Float[Array, " q"], step: Float[Array, " p"]) -> Scalar:
     """Negative log likelihood of a standardised step s′ - s, summed over dimensions, less its constant."""
-    mean, log_var = member.standardised(s, a)
-    return 0.5 * jnp.sum((step - mean) ** 2 * jnp.exp(-log_var) + log_var)
+    mean, var = member.standardised(s, a)
+    return 0.5 * jnp.sum((step - mean) ** 2 / var + jnp.log(var))
 
 
 @partial(jax.jit, static_argnames=("config", "steps"))

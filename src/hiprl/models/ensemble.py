@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -13,10 +15,15 @@ from hiprl.types import Action, Dynamics, Key, Prediction, State
 MIN_LOG_VAR, MAX_LOG_VAR = -10.0, 1.0  # of the standardised step s' - s
 
 
-def bounded(raw: Float[Array, " p"]) -> Float[Array, " p"]:
-    """A log variance kept softly between its bounds, so that neither a flat nor a sharp one runs away."""
-    upper = MAX_LOG_VAR - jax.nn.softplus(MAX_LOG_VAR - raw)
-    return MIN_LOG_VAR + jax.nn.softplus(upper - MIN_LOG_VAR)
+def bounded_var(raw: Float[Array, " p"]) -> Float[Array, " p"]:
+    """A variance whose log is kept softly between its bounds, so that neither a flat nor a sharp one runs away.
+
+    Two softplus, one from each bound, written out: with e = exp(raw) their variance is a ratio in e, so that one
+    exponential does, forward and backward.
+    """
+    e = jnp.exp(jnp.minimum(raw, 40.0))  # more overflows, and the bound was reached long before
+    low = math.exp(MIN_LOG_VAR)
+    return low + e / (1 + e * math.exp(-MAX_LOG_VAR))
 
 
 class Member(Dynamics):
@@ -29,17 +36,17 @@ class Member(Dynamics):
     """Of s′ - s."""
 
     def standardised(self, s: State, a: Action) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
-        """Mean and log variance of s′ - s, in standard units."""
+        """Mean and variance of s′ - s, in standard units."""
         out = self.net(self.inputs.down(jnp.concatenate([s, a])))
         mean, raw = jnp.split(out, 2)
-        return mean, bounded(raw)
+        return mean, bounded_var(raw)
 
     def predict(self, s: State, a: Action) -> Prediction:
-        mean, log_var = self.standardised(s, a)
+        mean, var = self.standardised(s, a)
         return Prediction(
             mu=s + self.steps.up(mean),
             sigma=jnp.zeros_like(s),
-            noise=self.steps.std * jnp.exp(0.5 * log_var),
+            noise=self.steps.std * jnp.sqrt(var),
         )
 
     def members(self) -> Dynamics:

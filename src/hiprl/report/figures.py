@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Mapping
 from typing import TypeAlias
 
@@ -44,7 +45,7 @@ def overview(run: Record) -> Figure:
     figure, axes = new_figure(2, 3, width=11.0, height=6.2)
     for panel, place in zip(OVERVIEW, axes.flat, strict=True):
         draw(panel, place, run)
-    figure.suptitle(headline(run), x=0.01, ha="left", fontsize=11.5)
+    figure.suptitle(textwrap.fill(headline(run), 105), x=0.01, ha="left", fontsize=11.5)
     return figure
 
 
@@ -53,17 +54,18 @@ def single(run: Record, panels: tuple[Panel, ...]) -> Figure:
     figure, axes = new_figure(len(panels), 1, width=6.4, height=1.4 + 2.4 * len(panels))
     for panel, place in zip(panels, axes.flat, strict=True):
         draw(panel, place, run)
-    figure.suptitle(headline(run), x=0.01, ha="left", fontsize=9, color=GREY)
+    figure.suptitle(textwrap.fill(headline(run), 78), x=0.01, ha="left", fontsize=9, color=GREY)
     return figure
 
 
 def headline(run: Record) -> str:
     """What the run is and what came of it."""
-    words = f"{run.row.env}   seed {run.row.seed}, {setting(run.row).words()}, {len(run.episodes)} comparisons"
+    settings = setting(run.row).words(most=3)
+    words = f"{run.row.env}: seed {run.row.seed}, {settings}, {len(run.episodes)} comparisons"
     if run.final is None or run.final["return_mean"] is None:
         return words
     mean, std, n = (run.final[name] for name in ("return_mean", "return_std", "eval_episodes"))
-    return f"{words}   →   return {number(mean)} ± {number(std)} over {n} episodes"
+    return f"{words} → return {number(mean)} ± {number(std)} over {n} episodes"
 
 
 def number(x: float) -> str:
@@ -91,7 +93,9 @@ def learning(axes: Axes, run: Record) -> None:
     label(axes, "What it learns", unit)
     random, policy = ~run.searched, run.searched
     axes.plot(run.k[random], executed[random], **DOT, color=GREY, markersize=4, alpha=0.7)
-    axes.plot(run.k[policy], executed[policy], **DOT, color=BLUE, markersize=4, alpha=0.45, label="executed")
+    axes.plot(
+        run.k[policy], executed[policy], **DOT, color=BLUE, markersize=4.5, alpha=0.45, zorder=3, label="executed"
+    )
     if np.isfinite(best).any():
         axes.plot(run.k, best, color=BLUE, drawstyle="steps-post", label="best by $\\hat r$")
     if run.final is not None and run.final["return_mean"] is not None:

@@ -20,9 +20,11 @@ class Setting(NamedTuple):
     changes: dict[str, str]
     """Field to value, where the run departs from that preset, and the judge."""
 
-    def words(self) -> str:
-        """All of it in one line."""
-        return ", ".join([self.preset, *(f"{name} {value}" for name, value in self.changes.items())])
+    def words(self, *, most: int | None = None) -> str:
+        """The preset and the changes in one line; no more than `most` of them."""
+        changes = [f"{name} {value}" for name, value in self.changes.items()]
+        more = 0 if most is None else len(changes) - most
+        return ", ".join([self.preset, *changes[:most], *([f"and {more} more"] if more > 0 else [])])
 
 
 def setting(row: RunRow) -> Setting:

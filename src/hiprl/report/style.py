@@ -60,7 +60,7 @@ WIDE_RANGE = 30.0  # greatest over smallest number, from which an axis is logari
 
 def look():
     """Within it, figures that are made and saved look like ours."""
-    return matplotlib.rc_context(LOOK)
+    return matplotlib.rc_context(LOOK)  # pyright: ignore[reportArgumentType]
 
 
 def new_figure(rows: int, columns: int, *, width: float, height: float) -> tuple[Figure, np.ndarray]:
