@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from hiprl.hallucinated import OPTIMISM, Hallucinated, hallucinate
 from hiprl.types import Dynamics, Prediction
-from tests.data.samples import M, p, q, seeds
+from tests.data.samples import M, p, seeds
 
 S, A_, U = jnp.array([0.3, -1.2, 0.7]), jnp.array([0.4, -0.9]), jnp.array([0.5, -1.0, 0.25])
 

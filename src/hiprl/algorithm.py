@@ -7,7 +7,7 @@ they like; neither part knows which.
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -65,6 +65,7 @@ class Question(eqx.Module):
     """False in the warm-up, where the actions are random."""
 
 
+@runtime_checkable
 class Ask(Protocol):
     """The judge: gives g(τ, τ′) for the two trajectories of a question."""
 
@@ -201,7 +202,9 @@ def ends_of(run: Run, world: World) -> Ends | None:
 @partial(jax.jit, static_argnames=("config",))
 def scored(run: Run, question: Question, g: Scalar, config: Config) -> Scores:
     """The models as they were before, judged by an episode and an answer that they have not seen."""
-    predicted = run.reward.gap(question.tau, run.T.get(question.other))
+    guess = run.reward.gap(question.tau, run.T.get(question.other))
+    nothing = jnp.asarray(jnp.nan)  # before the first answer not even the scale of an answer is known
+    predicted = jax.tree.map(lambda x: jnp.where(run.P.count > 0, x, nothing), guess)
     errors = model_errors(run.dynamics.ensemble, question.tau)
     first = eqx.tree_at(
         lambda tau: tau.length, question.tau, jnp.minimum(question.tau.length, config.search.trial_steps)

@@ -69,11 +69,8 @@ class Hallucinated(eqx.Module):
 
     def in_each_member(self) -> Hallucinated:
         """This model in each member of the belief, stacked: what a pessimist looks at."""
-        members = self.dynamics.members()
-        M = jax.tree.leaves(members)[0].shape[0]
-        copies = lambda x: jnp.broadcast_to(x, (M, *x.shape))  # noqa: E731
-        beta, bonus, step_scale, low, high = map(copies, (self.beta, self.bonus, self.step_scale, self.low, self.high))
-        return Hallucinated(members, beta, bonus, step_scale, low, high, self.mode)
+        alone = lambda member: eqx.tree_at(lambda f: f.dynamics, self, member)  # noqa: E731
+        return jax.vmap(alone)(self.dynamics.members())
 
     def split(self, action_and_eta: Float[Array, " q_plus"]) -> tuple[Action, Eta]:
         """The action and the policy's own η (zero where the mode has none)."""

@@ -215,7 +215,7 @@ def test_ctrl_c_has_an_exit_status_of_its_own() -> None:
 
 
 def says() -> dict:
-    print("a table")
+    sys.stdout.write("a table\n")
     return {"run": "x", "return_mean": None}
 
 
@@ -226,6 +226,7 @@ def test_json_is_the_last_line_of_stdout(capsys: pytest.CaptureFixture[str]) -> 
     assert capsys.readouterr().out == "a table\n"
 
 
+@pytest.mark.slow
 def test_a_pipe_that_is_closed_is_no_bug(tmp_path: Path) -> None:
     where = tmp_path / "runs.db"
     with open_store(where) as store:

@@ -17,17 +17,12 @@ from hiprl.cli.training import config_of, outcome, resume, train
 from hiprl.config import Config, paper
 from hiprl.control.gradient import GradientConfig
 from hiprl.errors import StoreError
-from hiprl.models.dynamics import DynamicsConfig
 from hiprl.session import spec_of
 from hiprl.store.store import open_store
+from tests.cli.tiny import TINY
 
 KEYS = ["run", "env", "seed", "comparisons", "env_steps", "return_mean", "return_std", "eval_episodes", "wall_seconds"]
 KEYS += ["store"]
-TINY = Config(
-    warm_up=2,
-    dynamics=DynamicsConfig(M=2, hidden=(8,), batch=16, cold_steps=20, warm_steps=20, chunk=10),
-    search=GradientConfig(hidden=(8,), chunks=2, updates=3, rollouts=4, steps=3, trial_steps=5, trial_starts=2),
-)
 
 
 @pytest.fixture
@@ -150,11 +145,9 @@ def test_a_rule_of_termination_is_found_again(
 
 @pytest.mark.slow
 def test_ctrl_c_stops_and_resume_finishes(tmp_path: Path) -> None:
-    """The command as it is typed, with the default settings, stopped in the middle of a search."""
-    hiprl = [sys.executable, "-m", "hiprl"]
-    environment = {**os.environ, "PYTHONPATH": "src", "PYTHONUNBUFFERED": "1"}
+    hiprl = [sys.executable, "-m", "tests.cli.tiny"]
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     command = [*hiprl, *words(tmp_path / "runs.db", "--comparisons", "3", "--json")]
-    command[command.index("linear")] = "swing-up"
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
     ) as process:

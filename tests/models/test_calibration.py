@@ -1,10 +1,11 @@
+from fractions import Fraction
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
-from fractions import Fraction
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
@@ -14,7 +15,7 @@ from hiprl.models.calibration import MAX_BETA, MIN_BETA, Calibration, conformal_
 from hiprl.models.ensemble import Ensemble
 from hiprl.models.network import Scaler
 from hiprl.models.reward import Gap
-from tests.data.samples import H, M, lengths, p, q, seeds, trajectory
+from tests.data.samples import M, lengths, p, q, seeds, trajectory
 
 HORIZONS = (1, 3, 5)
 

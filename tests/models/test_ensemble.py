@@ -15,7 +15,7 @@ def ensemble():
     rng = np.random.default_rng(3)
     units = lambda n: Scaler(
         jnp.asarray(rng.normal(size=n), jnp.float32), jnp.asarray(rng.uniform(0.3, 3, n), jnp.float32)
-    )  # noqa: E731
+    )
     return Ensemble.draw(units(p + q), units(p), M=M, hidden=(7,), activation="silu", key=jr.key(5))
 
 

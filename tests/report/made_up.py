@@ -61,9 +61,7 @@ def facts(k: int, *, warm_up: int = 5, top: float = 3000.0, draw: np.random.Gene
             "deviation": float(5 * np.exp(-k / 8) * draw.uniform(0.8, 1.2)),
             "relative_error": 0.1,
             "coverage": float(draw.uniform(0.7, 0.97)),
-            "rollout_errors": {
-                str(h): float(h**0.8 * 3 * np.exp(-k / 8) * draw.uniform(0.8, 1.3)) for h in (1, 5, 20, 50)
-            },
+            "rollout_errors": {str(h): float(h**0.8 * off) for h in (1, 5, 20, 50)},
             "best_trajectory": k - 1 if k > warm_up and draw.uniform() < 0.4 else k,
         }
     return found

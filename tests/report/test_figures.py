@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from hiprl.config import Config
 from hiprl.errors import HiprlError
-from hiprl.report.figures import PICTURES, learning, pictures
+from hiprl.report.figures import PICTURES, learning, overview, pictures
 from hiprl.report.record import Record, record
 from hiprl.report.style import new_figure, save
 from hiprl.store.store import Store
@@ -72,8 +72,7 @@ def test_facts_that_are_not_known_break_no_picture(store: Store) -> None:
     for k in range(1, 4):
         facts = {"k": k, "comparisons": k, "searched": k > 1, "true_return": None, "rollout_errors": {"1": None}}
         store.finish_episode(run_id, k, facts, b"%d" % k)
-    figures = pictures(record(store, store.run(run_id)))
-    figures["overview"].draw_without_rendering()
+    overview(record(store, store.run(run_id))).draw_without_rendering()
 
 
 def test_no_picture_touches_the_state_of_pyplot(store: Store) -> None:

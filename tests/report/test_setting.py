@@ -37,3 +37,10 @@ def test_settings_are_told_by_the_nearest_preset(store: Store, config: Config, w
 def test_another_judge_is_told(store: Store) -> None:
     row = store.run(add_run(store, judge="noisy:50", episodes=0, finished=False))
     assert setting(row).words() == "default, judge noisy:50"
+
+
+def test_many_changes_are_counted(store: Store) -> None:
+    config = Config(optimism="greedy", kappa=0.5, bonus=2.0, restart=False)
+    row = store.run(add_run(store, config=config, episodes=0, finished=False))
+    assert setting(row).words(most=3) == "default, optimism greedy, kappa 0.5, bonus 2, and 1 more"
+    assert setting(row).words() == "default, optimism greedy, kappa 0.5, bonus 2, restart False"

@@ -52,9 +52,11 @@ class Calibration(eqx.Module):
         return jnp.where(self.count > 0, conformal_quantile(self.z, self.count), 1.0)
 
     def after_answer(self, g: Scalar, predicted: Gap) -> Calibration:
-        """Counts one answer that was predicted before it came."""
+        """Counts one answer that was predicted before it came; a prediction without a σ_g says nothing."""
         z = jnp.abs(g - predicted.mean) / jnp.maximum(predicted.sigma, 1e-12)
-        return eqx.tree_at(lambda c: (c.z, c.count), self, (self.z.at[self.count].set(z), self.count + 1))
+        known = jnp.isfinite(z)
+        z = jnp.where(known, self.z.at[self.count].set(z), self.z)
+        return eqx.tree_at(lambda c: (c.z, c.count), self, (z, self.count + known))
 
     def after_episode(self, seen: ModelErrors, *, decay: float, overpromised: Flag) -> Calibration:
         """Takes β from the newest episode; κ decays by rule, and is halved after a promise that was not kept."""

@@ -155,7 +155,7 @@ def _posterior(
     n = jnp.maximum(jnp.sum(filled), 1)
 
     def candidate(prior: Float[Array, " D"], noise: Float[Array, ""]):
-        K = (Psi * prior) @ Psi.T
+        K = (Psi * prior[None]) @ Psi.T
         level = jnp.where(jnp.trace(K) > 0, jnp.trace(K) / n, 1.0)  # what the prior expects of g²
         K = K + jnp.diag(jnp.where(filled, noise * level, 1.0))
         L = jnp.linalg.cholesky(K)
@@ -167,7 +167,7 @@ def _posterior(
     score, (L, G_g, scale) = jax.vmap(candidate)(priors, noises)
     best = jnp.argmax(score)
     L, G_g, scale, prior = L[best], G_g[best], scale[best], priors[best]
-    half = jax.scipy.linalg.solve_triangular(L, Psi * prior, lower=True)
+    half = jax.scipy.linalg.solve_triangular(L, Psi * prior[None], lower=True)
     inverse_diag = jnp.sum(jax.scipy.linalg.solve_triangular(L, jnp.eye(L.shape[0]), lower=True) ** 2, axis=0)
     loo = jnp.where(filled, G_g / jnp.sqrt(inverse_diag * scale), 0.0)
     return prior * (Psi.T @ G_g), prior * scale, half * jnp.sqrt(scale), loo

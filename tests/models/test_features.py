@@ -1,0 +1,82 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+
+from hiprl.models.features import DEGREE, EIGENVALUES, LENGTHSCALE, mercer
+from hiprl.models.reward import features_of
+from tests.data.samples import clean, p, q, seeds, set_of, trajectory
+
+
+@pytest.fixture(scope="module")
+def T():
+    rng = np.random.default_rng(12)
+    return set_of([trajectory(rng, length=n) for n in (7, 3, 5, 7, 1)])
+
+
+@pytest.fixture(scope="module")
+def features(T):
+    return jax.jit(features_of)(T)
+
+
+@pytest.fixture(scope="module")
+def phi(features):
+    return jax.jit(lambda s, a: features(s, a))
+
+
+def test_the_mercer_functions_reproduce_the_squared_exponential_kernel():
+    x = np.linspace(-2.5, 2.5, 23)
+    functions = np.asarray(mercer(jnp.asarray(x, jnp.float32)), float)
+    assert functions.shape == (23, DEGREE)
+    kernel = (functions * EIGENVALUES) @ functions.T
+    np.testing.assert_allclose(kernel, np.exp(-((x[:, None] - x) ** 2) / (2 * LENGTHSCALE**2)), atol=2e-3)
+
+
+def test_the_mercer_functions_are_orthonormal_under_a_standard_normal():
+    x, w = np.polynomial.hermite_e.hermegauss(61)
+    functions = np.asarray(jax.jit(mercer)(jnp.asarray(x, jnp.float32)), float)
+    near = np.abs(x) < 6  # further out, the weights are below what float32 can tell
+    gram = (functions[near] * (w / w.sum())[near, None]).T @ functions[near]
+    np.testing.assert_allclose(gram, np.eye(DEGREE), atol=1e-3)
+
+
+def test_all_but_the_bias_have_mean_zero_over_what_was_seen(T, features):
+    rows = T.transitions()
+    seen = np.asarray(jax.vmap(features)(rows.s, rows.a))[np.asarray(rows.mask)]
+    np.testing.assert_allclose(seen.mean(0), [1] + [0] * (features.size - 1), atol=1e-4)
+    assert features.size == 1 + (p + q) * (1 + DEGREE) == seen.shape[1]
+
+
+@given(seeds)
+def test_past_the_box_a_coordinate_counts_as_its_edge(features, phi, seed):
+    rng = np.random.default_rng(seed)
+    s, a = jnp.asarray(rng.normal(0, 40, p), jnp.float32), jnp.asarray(rng.uniform(-1, 1, q), jnp.float32)
+    edge = features.scaler.up(features.coordinates(s, a))
+    np.testing.assert_allclose(phi(s, a), phi(edge[:p], edge[p:]), rtol=2e-3, atol=2e-3)
+    assert np.isfinite(phi(s, a)).all()
+
+
+@given(seeds)
+def test_the_short_way_to_a_reward_is_the_long_way(features, phi, seed):
+    rng = np.random.default_rng(seed)
+    s, a = jnp.asarray(rng.normal(0, 3, p), jnp.float32), jnp.asarray(rng.uniform(-1, 1, q), jnp.float32)
+    weights = jnp.asarray(rng.normal(size=features.size), jnp.float32)
+    long = float(np.asarray(phi(s, a), float) @ np.asarray(weights, float))
+    assert float(features.dot(s, a, weights)) == pytest.approx(long, rel=1e-3, abs=1e-3)
+
+
+def test_padding_changes_no_feature(T, features):
+    for x, y in zip(jax.tree.leaves(features), jax.tree.leaves(jax.jit(features_of)(clean(T))), strict=True):
+        assert np.isfinite(x).all()
+        np.testing.assert_array_equal(x, y)
+
+
+def test_the_prior_is_as_wide_for_the_bias_as_for_all_the_rest(features):
+    prior = np.asarray(features.prior(jnp.asarray(2.0), jnp.asarray(3.0)))
+    n = p + q
+    assert prior[0] == n * (2 + 3)
+    np.testing.assert_array_equal(prior[1 : 1 + n], 2)
+    np.testing.assert_allclose(
+        prior[1 + n :].reshape(n, DEGREE), np.broadcast_to(3 * EIGENVALUES, (n, DEGREE)), rtol=1e-6
+    )

@@ -1,0 +1,222 @@
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hiprl.data.preference import Preferences
+from hiprl.models.features import EIGENVALUES
+from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
+from tests.data.samples import answers, clean, p, q
+from tests.models.worlds import linear_set, steps_of
+
+H, N, K = 31, 17, 13
+ONE = AdditiveConfig(smooth=(1.0,), noise=(1e-4,))
+EXACT = AdditiveConfig(smooth=(1.0,), noise=(1e-6,))
+PAIRS = [(i + 1, (7 * i) % (i + 1)) for i in range(11)]
+
+
+def linear_truth(s, a):
+    return 2 * s[:, 0] - s[:, 2] + 0.5 * a[:, 1]
+
+
+def bent_truth(s, a):
+    return -((s[:, 0] - 0.5) ** 2) - 0.3 * a[:, 0] ** 2
+
+
+def returns_of(T, truth):
+    return [float(truth(*steps_of(T, i)).sum()) for i in range(int(T.count))]
+
+
+def said(T, truth, pairs=PAIRS):
+    """P with the true answers to these pairs."""
+    J = returns_of(T, truth)
+    return answers(pairs, [J[i] - J[j] for i, j in pairs], capacity=K)
+
+
+@pytest.fixture(scope="module")
+def T():
+    """Twelve trajectories of equal length."""
+    return linear_set(21, [H] * 12, H=H, capacity=N)
+
+
+@pytest.fixture(scope="module")
+def uneven():
+    """Twelve trajectories of unequal length."""
+    return linear_set(22, [31, 7, 19, 3, 29, 11, 23, 5, 17, 13, 2, 30], H=H, capacity=N)
+
+
+@pytest.fixture(scope="module")
+def gap():
+    compiled = jax.jit(lambda reward, tau, other: reward.gap(tau, other))
+    return lambda reward, T, i, j: tuple(map(float, compiled(reward, T.get(i), T.get(j))))
+
+
+def long_way(reward, T, pairs, g, config):
+    """Prior, noise and Ψ in float64: sums of features by a plain loop, scales by their definitions."""
+    phi = jax.jit(jax.vmap(reward.features))
+    Phi = [np.asarray(phi(*(jnp.asarray(x, jnp.float32) for x in padded(T, i))), float) for i in range(int(T.count))]
+    Phi = np.array([x[: int(T.rows.length[i])].sum(0) for i, x in enumerate(Phi)])
+    Psi = np.array([Phi[i] - Phi[j] for i, j in pairs])
+    (smooth,), (share,), n = config.smooth, config.noise, p + q
+    prior = np.concatenate([[n * (1 + smooth)], np.ones(n), np.tile(smooth * EIGENVALUES, n)])
+    gram = (Psi * prior) @ Psi.T
+    noise = share * np.trace(gram) / len(g)
+    scale = g @ np.linalg.solve(gram + noise * np.eye(len(g)), g) / len(g)
+    return Phi, Psi, scale * prior, scale * noise
+
+
+def padded(T, i):
+    """States and actions of a trajectory as they are kept, without NaN: one shape for all."""
+    return np.nan_to_num(np.asarray(T.rows.states[i])[:-1]), np.nan_to_num(np.asarray(T.rows.actions[i]))
+
+
+def posterior(Psi, g, prior, noise):
+    """Mean and covariance of the weights, by inverting the sum of the precisions."""
+    S = np.linalg.inv(np.diag(1 / prior) + Psi.T @ Psi / noise)
+    return S @ Psi.T @ g / noise, S
+
+
+@pytest.mark.parametrize("name", ["T", "uneven"])
+def test_the_posterior_is_the_one_worked_out_the_long_way(request, gap, name):
+    T = request.getfixturevalue(name)
+    P = said(T, bent_truth)
+    reward = estimate_additive_reward(P, T, ONE)
+    g = np.asarray(P.g, float)[: len(PAIRS)]
+    Phi, Psi, prior, noise = long_way(reward, T, PAIRS, g, ONE)
+    np.testing.assert_allclose(reward.prior, prior, rtol=1e-3)
+    mean, S = posterior(Psi, g, prior, noise)
+    for i in range(12):
+        for j in (0, 3, 8):
+            psi = Phi[i] - Phi[j]
+            found, sigma = gap(reward, T, i, j)
+            assert found == pytest.approx(psi @ mean, rel=1e-2, abs=1e-2 * np.std(g))
+            wide = np.sqrt(psi @ (prior * psi))
+            assert sigma == pytest.approx(np.sqrt(psi @ S @ psi), rel=2e-2, abs=2e-3 * wide)
+
+
+def test_leave_one_out_errors_are_those_of_refits_without_each_answer(T):
+    P = said(T, bent_truth)
+    reward = estimate_additive_reward(P, T, ONE)
+    g = np.asarray(P.g, float)[: len(PAIRS)]
+    _, Psi, prior, noise = long_way(reward, T, PAIRS, g, ONE)
+    for i in range(len(PAIRS)):
+        rest = [j for j in range(len(PAIRS)) if j != i]
+        mean, S = posterior(Psi[rest], g[rest], prior, noise)
+        z = (g[i] - Psi[i] @ mean) / np.sqrt(Psi[i] @ S @ Psi[i] + noise)
+        assert float(reward.loo[i]) == pytest.approx(z, rel=2e-2, abs=2e-2)
+    assert (np.asarray(reward.loo)[len(PAIRS) :] == 0).all()
+
+
+def test_answers_without_error_are_given_back(T, gap):
+    P = said(T, linear_truth)
+    reward = estimate_additive_reward(P, T, EXACT)
+    spread = np.std(np.asarray(P.g)[: len(PAIRS)])
+    for (i, j), g in zip(PAIRS, np.asarray(P.g), strict=False):
+        found, sigma = gap(reward, T, i, j)
+        assert abs(found - g) < 0.02 * spread and sigma < 0.05 * spread
+
+
+def test_a_reward_is_learned_well_enough_to_rank_new_trajectories(T):
+    reward = estimate_additive_reward(said(T, linear_truth), T, AdditiveConfig())
+    new = linear_set(77, [H] * 7, H=H, capacity=N)
+    predicted = np.asarray(reward.returns(new))[:7]
+    assert np.corrcoef(predicted, returns_of(new, linear_truth))[0, 1] > 0.97
+
+
+def test_each_answer_makes_the_reward_surer_of_every_gap(T, gap):
+    before = np.inf
+    for n in range(1, len(PAIRS) + 1):
+        reward = estimate_additive_reward(said(T, bent_truth, PAIRS[:n]), T, EXACT)
+        scale = np.sqrt(float(reward.prior[1]))  # the overall scale is fitted anew each time: taken out
+        sigma = np.array([gap(reward, T, i, j)[1] / scale for i, j in ((0, 5), (3, 9), (11, 2), (7, 8))])
+        # float32 tells σ from the prior's only to a thousandth of it
+        assert (sigma <= before + 2e-3 * np.abs(sigma).max() + 0.02).all()
+        before = np.minimum(before, sigma)
+
+
+def test_a_constant_reward_is_learned_from_the_lengths(uneven, gap):
+    ones = lambda s, a: np.ones(len(s))  # noqa: E731
+    reward = estimate_additive_reward(said(uneven, ones, PAIRS[:9]), uneven, AdditiveConfig())
+    lengths = np.asarray(uneven.rows.length, float)
+    for i, j in ((11, 10), (10, 0), (11, 3), (9, 10)):
+        assert gap(reward, uneven, i, j)[0] == pytest.approx(lengths[i] - lengths[j], abs=1.5)
+    rows = uneven.transitions()
+    r = np.asarray(jax.vmap(reward)(rows.s, rows.a))[np.asarray(rows.mask)]
+    assert r.mean() == pytest.approx(1, abs=0.15)
+
+
+def test_where_lengths_are_equal_a_constant_cannot_be_told_and_is_left_out(T):
+    reward = estimate_additive_reward(said(T, linear_truth), T, ONE)
+    shifted = estimate_additive_reward(said(T, lambda s, a: linear_truth(s, a) + 4.0), T, ONE)
+    assert float(reward.mean[0]) == 0
+    np.testing.assert_allclose(shifted.returns(T)[:12], reward.returns(T)[:12], atol=1e-2)
+    assert np.asarray(reward.returns(T))[:12].mean() == pytest.approx(0, abs=0.05)
+
+
+@settings(max_examples=5)
+@given(st.sampled_from([1e-3, 0.1, 7.0, 1e3]))
+def test_the_judges_unit_is_the_unit_of_the_reward(T, gap, unit):
+    one = estimate_additive_reward(said(T, bent_truth), T, ONE)
+    other = estimate_additive_reward(said(T, lambda s, a: unit * bent_truth(s, a)), T, ONE)
+    for i, j in ((3, 0), (8, 5)):
+        np.testing.assert_allclose(gap(other, T, i, j), unit * np.array(gap(one, T, i, j)), rtol=3e-2)
+    assert float(other.unit) == pytest.approx(unit * float(one.unit), rel=5e-3)
+
+
+def test_swapping_a_pair_and_its_answer_changes_nothing(T):
+    P = said(T, bent_truth)
+    turned = dataclasses.replace(P, g=-P.g, first=P.second, second=P.first)
+    one, other = (estimate_additive_reward(x, T, ONE).returns(T) for x in (P, turned))
+    np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("truth", [linear_truth, bent_truth], ids=["linear", "bent"])
+def test_marginal_likelihood_prefers_what_predicts_better(T, truth):
+    new = linear_set(78, [H] * 11, H=H, capacity=N)
+    true = np.array(returns_of(new, truth))
+
+    def error(smooth):
+        reward = estimate_additive_reward(said(T, truth), T, AdditiveConfig(smooth=smooth, noise=(1e-6,)))
+        miss = np.asarray(reward.returns(new))[:11] - true
+        chosen = float(reward.prior[1 + p + q] / reward.prior[1]) / EIGENVALUES[0]
+        return np.std(miss), chosen
+
+    stiff, free, (both, chosen) = error((1e-3,))[0], error((1e3,))[0], error((1e-3, 1e3))
+    assert chosen == pytest.approx(1e-3 if truth is linear_truth else 1e3, rel=1e-2)
+    assert both == pytest.approx(min(stiff, free), rel=1e-3) and both < 0.9 * max(stiff, free)
+
+
+def test_an_imagined_reward_stays_near_the_rewards_seen(T):
+    reward = estimate_additive_reward(said(T, linear_truth), T, ONE)
+    rows = T.transitions()
+    seen = np.asarray(jax.vmap(reward)(rows.s, rows.a))[np.asarray(rows.mask)]
+    width = seen.max() - seen.min()
+    rng = np.random.default_rng(3)
+    wild = jax.vmap(reward)(jnp.asarray(rng.normal(0, 99, (53, p)), jnp.float32), jnp.ones((53, q)))
+    assert (
+        np.asarray(wild).max() <= seen.max() + 0.2501 * width and np.asarray(wild).min() >= seen.min() - 0.2501 * width
+    )
+
+
+def test_before_any_answer_nothing_is_expected(T, gap):
+    reward = estimate_additive_reward(Preferences.empty(K), T, ONE)
+    assert gap(reward, T, 3, 1)[0] == 0 and float(reward.unit) == 1
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(reward))
+
+
+def test_trajectories_that_are_not_there_rank_last(T):
+    returns = np.asarray(estimate_additive_reward(said(T, linear_truth), T, ONE).returns(T))
+    assert np.isfinite(returns[:12]).all() and (returns[12:] == -np.inf).all()
+
+
+def test_padding_changes_nothing(uneven):
+    P = said(uneven, bent_truth)
+    spoilt = dataclasses.replace(P, g=jnp.where(P.filled, P.g, jnp.nan))
+    one, other = estimate_additive_reward(P, clean(uneven), ONE), estimate_additive_reward(spoilt, uneven, ONE)
+    for x, y in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        assert np.isfinite(x).all()
+        np.testing.assert_array_equal(x, y)
