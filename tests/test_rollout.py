@@ -54,7 +54,7 @@ def rolled():
 
     @jax.jit
     def compiled(actor, s_0, edge, key):
-        ends = lambda s, a, s_next: s_next[0] > edge  # noqa: E731
+        ends = lambda s, a, s_next: s_next[0] > edge
         return roll_out(f, actor, s_0, H=H, r=r, terminates=ends, key=key)
 
     return compiled
@@ -78,7 +78,7 @@ def test_a_scan_gives_what_a_loop_gives(rolled, seed, edge):
 def test_running_out_of_time_is_no_termination():
     tau = roll_out(f, Drawn(jnp.ones((q, p))), jnp.ones(p), H=H, r=r, key=jr.key(3))
     assert int(tau.length) == H and not tau.terminated
-    at_the_end = lambda s, a, s_next: jnp.asarray(True)  # noqa: E731
+    at_the_end = lambda s, a, s_next: jnp.asarray(True)
     tau = roll_out(f, Drawn(jnp.ones((q, p))), jnp.ones(p), H=H, r=r, terminates=at_the_end, key=jr.key(3))
     assert int(tau.length) == 1 and tau.terminated
 

@@ -69,7 +69,7 @@ class Hallucinated(eqx.Module):
 
     def in_each_member(self) -> Hallucinated:
         """This model in each member of the belief, stacked: what a pessimist looks at."""
-        alone = lambda member: eqx.tree_at(lambda f: f.dynamics, self, member)  # noqa: E731
+        alone = lambda member: eqx.tree_at(lambda f: f.dynamics, self, member)
         return jax.vmap(alone)(self.dynamics.members())
 
     def split(self, action_and_eta: Float[Array, " q_plus"]) -> tuple[Action, Eta]:

@@ -48,7 +48,7 @@ class Quadratic(Reward):
 def known(*, A=None, B=None, noise=0.0, sigma=0.0, mode="greedy", beta=1.0, reach=9.0):
     """The hallucinated model around such a dynamics."""
     A, B = np.zeros((p, p)) if A is None else A, np.zeros((p, q)) if B is None else B
-    full = lambda x: jnp.full(p, x, jnp.float32)  # noqa: E731
+    full = lambda x: jnp.full(p, x, jnp.float32)
     return Hallucinated(
         dynamics=Known(jnp.asarray(A, jnp.float32), jnp.asarray(B, jnp.float32), full(noise), full(sigma)),
         beta=full(beta),

@@ -167,8 +167,12 @@ def test_rewards_that_are_not_finite_are_said_to_be(search):
 @pytest.mark.parametrize("mode", ["eta_policy", "eta_sign"])
 def test_hope_makes_a_reward_out_of_reach_look_near(mode):
     # nothing that is done moves the state, but the model is not sure of that: only η leads to where the reward is
-    config = CONFIG
     reward = quadratic(Q=np.eye(p), d=[0.8, 0.8, 0.8])
+
+    @jax.jit
+    def run(f_tilde, state):
+        return gradient_search(f_tilde, reward, jnp.asarray(1.0), None, starts(), state, CONFIG, key=jr.key(2))
+
     values = {}
     for name in ("greedy", mode):
         f_tilde = known(A=0.5 * np.eye(p), sigma=0.5, mode=name)

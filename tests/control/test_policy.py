@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -17,8 +18,6 @@ NET = {"hidden": (7,), "activation": "elu"}
 
 
 def scaled(policy, factor):
-    import equinox as eqx
-
     return eqx.tree_at(lambda policy: policy.net.weights[-1], policy, factor * policy.net.weights[-1])
 
 
@@ -69,10 +68,9 @@ def test_the_mean_log_density_is_the_negative_entropy(squashed):
     # E[log p] by draws against the same by integration, summed over the entries
     s = some_state(3)
     _, log_prob = jax.vmap(lambda key: squashed.sample_with_log_prob(s, key=key))(jr.split(jr.key(9), 4001))
+    mean, log_std = (np.asarray(x, float) for x in squashed.gaussian(s))
     by_hand = 0.0
-    for m, std in zip(
-        *(np.asarray(f(x), float) for f, x in zip((np.asarray, np.exp), squashed.gaussian(s), strict=True)), strict=True
-    ):
+    for m, std in zip(mean, np.exp(log_std), strict=True):
         x, w = np.polynomial.hermite_e.hermegauss(101)
         u = m + std * x
         by_hand += (w / w.sum()) @ (stats.norm.logpdf(u, m, std) - 2 * (np.log(2) - u - np.logaddexp(0, -2 * u)))

@@ -50,7 +50,7 @@ def test_transitions_are_those_of_each_trajectory_in_turn(seed, ns):
 def test_padding_changes_nothing_that_is_read(seed, ns):
     T = set_of(taus_of(seed, ns))
     other = clean(T)
-    read = lambda T: (T.transitions(), T.box(margin=0.3), T.first_states(), T.seen())  # noqa: E731
+    read = lambda T: (T.transitions(), T.box(margin=0.3), T.first_states(), T.seen())
     for x, y in zip(jax.tree.leaves(read(T)), jax.tree.leaves(read(other)), strict=True):
         assert np.isfinite(x).all()
         np.testing.assert_array_equal(x, y)

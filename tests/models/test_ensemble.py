@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -5,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from hiprl.models.ensemble import MAX_LOG_VAR, MIN_LOG_VAR, Ensemble, Member, bounded
+from hiprl.models.ensemble import MAX_LOG_VAR, MIN_LOG_VAR, Ensemble, Member, bounded_var
 from hiprl.models.network import Scaler
 from tests.data.samples import M, p, q, seeds
 
@@ -13,9 +14,10 @@ from tests.data.samples import M, p, q, seeds
 @pytest.fixture(scope="module")
 def ensemble():
     rng = np.random.default_rng(3)
-    units = lambda n: Scaler(
-        jnp.asarray(rng.normal(size=n), jnp.float32), jnp.asarray(rng.uniform(0.3, 3, n), jnp.float32)
-    )
+
+    def units(n):
+        return Scaler(jnp.asarray(rng.normal(size=n), jnp.float32), jnp.asarray(rng.uniform(0.3, 3, n), jnp.float32))
+
     return Ensemble.draw(units(p + q), units(p), M=M, hidden=(7,), activation="silu", key=jr.key(5))
 
 
@@ -58,8 +60,6 @@ def test_noise_is_the_members_noise_and_no_part_of_sigma(ensemble, predictions, 
 
 
 def with_last_bias(stack, bias):
-    import equinox as eqx
-
     return eqx.tree_at(lambda stack: stack.net.biases[-1], stack, bias)
 
 
@@ -86,13 +86,18 @@ def test_other_units_inside_leave_the_means_as_they_were(ensemble, seed):
     )
 
 
-def test_log_variances_stay_between_their_bounds_and_keep_a_slope():
-    raw = jnp.linspace(-40, 40, 17)
-    log_var = jax.vmap(lambda x: bounded(x[None])[0])(raw)
-    assert (np.diff(log_var) >= 0).all()
-    assert (np.asarray(log_var) >= MIN_LOG_VAR - 1e-4).all() and (np.asarray(log_var) <= MAX_LOG_VAR + 1e-4).all()
-    np.testing.assert_allclose(bounded(jnp.array([-4.0])), [-4.0], atol=0.02)  # in between, they are left alone
-    slope = jax.vmap(jax.grad(lambda x: bounded(x[None])[0]))(jnp.array([-12.0, -4.0, 3.0]))
+def softly(raw):
+    """A log variance between its bounds, by one softplus from each of them."""
+    upper = MAX_LOG_VAR - np.logaddexp(0, MAX_LOG_VAR - raw)
+    return MIN_LOG_VAR + np.logaddexp(0, upper - MIN_LOG_VAR)
+
+
+def test_variances_stay_between_their_bounds_and_keep_a_slope():
+    raw = np.linspace(-90, 90, 61)
+    var = np.asarray(bounded_var(jnp.asarray(raw, jnp.float32)), float)
+    np.testing.assert_allclose(np.log(var), softly(raw), atol=1e-3)
+    assert (np.diff(np.log(var)) > -1e-5).all()
+    slope = jax.vmap(jax.grad(lambda x: jnp.log(bounded_var(x[None])[0])))(jnp.array([-12.0, -4.0, 3.0]))
     assert (np.asarray(slope) > 0.01).all()
 
 

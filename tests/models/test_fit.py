@@ -15,7 +15,7 @@ def run(train_loss, held_out_loss, *, start=5.0, rate=0.1, chunk=7, max_chunks=1
 
 
 def test_a_fit_finds_the_least_loss():
-    loss = lambda params: (params["w"] - 2.0) ** 2  # noqa: E731
+    loss = lambda params: (params["w"] - 2.0) ** 2
     params, report = run(lambda params, key: loss(params), loss)
     assert float(params["w"]) == pytest.approx(2.0, abs=1e-4)
     assert float(report.loss) == pytest.approx(0.0, abs=1e-6)

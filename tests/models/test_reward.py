@@ -139,7 +139,7 @@ def test_each_answer_makes_the_reward_surer_of_every_gap(T, gap):
 
 
 def test_a_constant_reward_is_learned_from_the_lengths(uneven, gap):
-    ones = lambda s, a: np.ones(len(s))  # noqa: E731
+    ones = lambda s, a: np.ones(len(s))
     reward = estimate_additive_reward(said(uneven, ones, PAIRS[:9]), uneven, AdditiveConfig())
     lengths = np.asarray(uneven.rows.length, float)
     for i, j in ((11, 10), (10, 0), (11, 3), (9, 10)):

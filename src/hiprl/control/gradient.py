@@ -180,7 +180,7 @@ def gradient_search(
         trial = {"steps": config.trial_steps, "n": config.trial_starts}
         report = report_of(trials(everywhere, policy, reward, ends, starts.first, **trial, key=trial_key))
         better = report.finite & ~(report.worst <= best_report.worst)
-        keep = lambda new, old: jnp.where(better, new, old)  # noqa: E731
+        keep = lambda new, old: jnp.where(better, new, old)
         best = jax.tree.map(keep, SearchState(policy, value), best)
         return (learner, best, jax.tree.map(keep, report, best_report)), report.worst
 
@@ -192,7 +192,7 @@ def gradient_search(
 
 def frozen_inputs(gradient):
     """The gradient with that of scalers and scales set to zero: they are measured, not trained."""
-    zero = lambda tree: jax.tree.map(jnp.zeros_like, tree)  # noqa: E731
+    zero = lambda tree: jax.tree.map(jnp.zeros_like, tree)
     gradient = eqx.tree_at(lambda g: g.inputs, gradient, zero(gradient.inputs))
     if isinstance(gradient, Value):
         gradient = eqx.tree_at(lambda g: g.scale, gradient, zero(gradient.scale))

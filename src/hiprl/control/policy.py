@@ -122,7 +122,7 @@ class Value(eqx.Module):
 
     def rescaled(self, inputs: Scaler, scale: Scalar) -> Value:
         """The same V, with other units inside."""
-        one = lambda std: Scaler(jnp.zeros(1), std[None])  # noqa: E731
+        one = lambda std: Scaler(jnp.zeros(1), std[None])
         net = self.net.with_input_scaler(self.inputs, inputs)
         return Value(net.with_output_scaler(one(self.scale), one(scale)), inputs, scale)
 

@@ -125,11 +125,11 @@ def ppo_search(
         return jr.choice(key, starts.first, shape)
 
     def step_each(worlds: Hallucinated, value: Value, s, u, draws):
-        one = lambda world, s, u, draw: world.step(s, u, draw=draw, value=value)  # noqa: E731
+        one = lambda world, s, u, draw: world.step(s, u, draw=draw, value=value)
         if axis is None:
             return jax.vmap(one, in_axes=(None, 0, 0, 0))(worlds, s, u, draws)
         # rollouts i, i + M, ... live in member i
-        by_world = lambda x: x.reshape(M, per_world, *x.shape[1:])  # noqa: E731
+        by_world = lambda x: x.reshape(M, per_world, *x.shape[1:])
         s, bonus = jax.vmap(jax.vmap(one, in_axes=(None, 0, 0, 0)))(worlds, by_world(s), by_world(u), by_world(draws))
         return s.reshape(config.rollouts, -1), bonus.reshape(-1)
 
@@ -172,7 +172,7 @@ def ppo_search(
     def loss(learner: SearchState, batch: Samples, weight: Float[Array, " b"]) -> Scalar:
         policy, value = learner.policy, learner.value
         count = jnp.sum(weight)
-        mean_of = lambda x: jnp.sum(jnp.where(weight > 0, x, 0.0)) / count  # noqa: E731
+        mean_of = lambda x: jnp.sum(jnp.where(weight > 0, x, 0.0)) / count
         centred = batch.advantage - mean_of(batch.advantage)
         advantage = centred / (jnp.sqrt(jnp.sum(weight * centred**2) / (count - 1)) + 1e-8)
         mean, log_std = jax.vmap(policy.gaussian, out_axes=(0, None))(batch.s)
@@ -225,5 +225,5 @@ def ppo_search(
 
 def without_units(gradient: SearchState) -> SearchState:
     """The gradient with that of scalers and scales set to zero: they are measured, not trained."""
-    units = lambda g: (g.policy.inputs, g.value.inputs, g.value.scale)  # noqa: E731
+    units = lambda g: (g.policy.inputs, g.value.inputs, g.value.scale)
     return eqx.tree_at(units, gradient, jax.tree.map(jnp.zeros_like, units(gradient)))

@@ -93,7 +93,7 @@ def estimate_dynamics(
     train_draw = RowDraw.of(rows.mask & ~held)
     held_draw = RowDraw.of(rows.mask & jnp.where(jnp.any(held), held, True))
 
-    net_of = lambda stack: stack.net  # the scalers are not trained  # noqa: E731
+    net_of = lambda stack: stack.net  # the scalers are not trained
 
     def member_loss(net, weight, idx):
         member = Member(net, inputs, scaler)

@@ -70,7 +70,7 @@ class NetworkReward(EstimatedReward):
 def new_network_reward(T: Trajectories, config: NetworkConfig, *, key: Key) -> NetworkReward:
     """Networks that have seen no answer."""
     n = T.rows.states.shape[2] + T.rows.actions.shape[2]
-    draw = lambda key: MLP.draw(n, config.hidden, 1, activation=config.activation, key=key)  # noqa: E731
+    draw = lambda key: MLP.draw(n, config.hidden, 1, activation=config.activation, key=key)
     nets = jax.vmap(draw)(jr.split(key, config.members))
     return NetworkReward(jnp.ones(()), nets, state_action_scaler(T))
 

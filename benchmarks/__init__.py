@@ -1,0 +1,1 @@
+"""What hiprl reaches, measured: each module is a program, `python -m benchmarks.NAME --help`."""
