@@ -70,4 +70,4 @@ def quadratic(*, Q=None, R=None, G=None, c=None, d=None):
 def starts(seed=5, *, spread=0.6, n=211):
     """States around zero, in which rollouts begin."""
     seen = jnp.asarray(np.random.default_rng(seed).normal(0, spread, (n, p)), jnp.float32)
-    return Starts(seen, seen[:11], Scaler(jnp.zeros(p), jnp.full(p, spread)))
+    return Starts(seen, seen[:11], Scaler(jnp.zeros(p), jnp.full(p, spread, jnp.float32)))

@@ -177,11 +177,7 @@ def test_hope_makes_a_reward_out_of_reach_look_near(mode):
     for name in ("greedy", mode):
         f_tilde = known(A=0.5 * np.eye(p), sigma=0.5, mode=name)
         size = q + f_tilde.eta_size
-        state = new_gradient(starts().scaler, size, config, key=jr.key(1))
-        run = jax.jit(
-            lambda f, s: gradient_search(f, reward, jnp.asarray(1.0), None, starts(), s, config, key=jr.key(2))
-        )
-        state, report = run(f_tilde, state)
+        state, report = run(f_tilde, new_gradient(starts().scaler, size, CONFIG, key=jr.key(1)))
         assert report.finite
         values[name] = float(jnp.mean(jax.vmap(state.value)(starts().seen)))
         if name == "eta_policy":

@@ -1,8 +1,10 @@
+import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import optax
 import pytest
+from scipy import stats
 
 from hiprl.models.fit import fit
 
@@ -45,17 +47,12 @@ def test_steps_after_the_loss_broke_are_not_kept():
 
 def test_each_step_draws_its_own_minibatch():
     # the gradient is a fresh standard normal each step: the sum of 77 of them has their spread
-    ends = []
-    for seed in range(40):
-        params, _ = fit(
-            {"w": jnp.asarray(0.0)},
-            lambda params, key: params["w"] * jr.normal(key),
-            lambda params: -jnp.inf * jnp.ones(()) + 0 * params["w"],
-            optax.sgd(1.0),
-            chunk=77,
-            max_chunks=1,
-            patience=1,
-            key=jr.key(seed),
-        )
-        ends.append(float(params["w"]))
-    assert 0.5 < np.std(ends) / np.sqrt(77) < 1.5
+    @jax.jit
+    def end(key):
+        rest = {"chunk": 77, "max_chunks": 1, "patience": 1, "key": key}
+        loss = lambda params, key: params["w"] * jr.normal(key)
+        params, _ = fit({"w": jnp.zeros(())}, loss, lambda params: 0 * params["w"], optax.sgd(1.0), **rest)
+        return params["w"]
+
+    ends = [float(end(key)) for key in jr.split(jr.key(3), 53)]
+    assert 1e-4 < stats.chi2.cdf(np.sum(np.square(ends)) / 77, 53) < 1 - 1e-4

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from hiprl.control.imagined import Ends, SearchReport, SearchState, Starts, along, report_of, trials
 from hiprl.control.policy import SquashedPolicy, Value
@@ -153,7 +153,7 @@ def gradient_search(
         flat_s, goal, weight = s.reshape(-1, s.shape[-1]), returns.reshape(-1) / scale, alive.reshape(-1)
         goal = jax.lax.stop_gradient(goal)
 
-        def value_loss(value: Value, rows: Float[Array, " rows"]):
+        def value_loss(value: Value, rows: Int[Array, " rows"]):
             error = jax.vmap(value)(flat_s[rows]) / scale - goal[rows]
             return jnp.sum(weight[rows] * error**2) / jnp.maximum(jnp.sum(weight[rows]), 1.0)
 

@@ -5,6 +5,8 @@ An episode is scored with the models as they were before they saw it (prequentia
 
 from __future__ import annotations
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -98,6 +100,7 @@ def model_errors(ensemble: Ensemble, tau: Trajectory) -> ModelErrors:
     )
 
 
+@partial(jax.jit, static_argnames=("horizons",))
 def rollout_errors(ensemble: Ensemble, tau: Trajectory, horizons: tuple[int, ...]) -> Float[Array, " horizons"]:
     """Mean ‖s_{t+h} - ŝ_{t+h}‖ over t for each h, when μ is followed from s_t under the executed actions.
 

@@ -134,7 +134,7 @@ def estimate_additive_reward(P: Preferences, T: Trajectories, config: AdditiveCo
     with jax.enable_x64(True):  # Cholesky of nearly dependent rows: answers are almost free of noise
         posterior = _posterior(
             jnp.asarray(Psi, jnp.float64),
-            jnp.asarray(P.g, jnp.float64),
+            jnp.asarray(jnp.where(P.filled, P.g, 0.0), jnp.float64),
             P.filled,
             jax.vmap(features.prior)(jnp.ones(len(grid)), grid[:, 0]).astype(jnp.float64),
             jnp.asarray(grid[:, 1], jnp.float64),

@@ -1,0 +1,173 @@
+import json
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hiprl.control.imagined import SearchReport
+from hiprl.errors import FitDiverged, InputError, JudgeError, WorldError
+from hiprl.feedback.judges import exact, judge_from
+from hiprl.session import RunSpec, actor_of, carry_on, finite_or_none, spec_of, start
+from hiprl.store.store import open_store
+from hiprl.world.build import world_from
+from tests.whole.tasks import TINY, Blind
+
+SPEC = RunSpec(seed=21, config=TINY, judge="exact", eval_episodes=3)
+
+
+@pytest.fixture
+def store(tmp_path):
+    with open_store(tmp_path / "runs.db") as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A finished run: its store, its id, what was watched and its summary."""
+    with open_store(tmp_path_factory.mktemp("finished") / "runs.db") as store:
+        world, watched = world_from("linear"), []
+        run_id = start(store, world, SPEC)
+        summary = carry_on(store, run_id, world, exact, watch=watched.append)
+        yield store, run_id, watched, summary
+
+
+def test_a_run_can_be_done_again_from_its_row(finished):
+    store, run_id, *_ = finished
+    assert spec_of(store, run_id) == SPEC
+    row = store.run(run_id)
+    assert row.env == "linear" and row.seed == 21 and row.versions["jax"]
+    assert world_from(row.spec["env"], horizon=row.spec["horizon"]).H == 31
+
+
+def test_the_summary_has_what_the_command_line_promises(finished):
+    _, run_id, _, summary = finished
+    assert set(summary) == {
+        "run",
+        "env",
+        "seed",
+        "comparisons",
+        "env_steps",
+        "return_mean",
+        "return_std",
+        "eval_episodes",
+        "wall_seconds",
+        "store",
+    }
+    assert summary["run"] == run_id and summary["comparisons"] == TINY.comparisons and summary["eval_episodes"] == 3
+    assert summary["env_steps"] == 31 * (TINY.comparisons + 1)
+
+
+def test_each_episode_is_told_of_in_plain_numbers(finished):
+    store, run_id, watched, _ = finished
+    assert [facts["k"] for facts in watched] == list(range(1, TINY.comparisons + 1))
+    assert json.loads(json.dumps(watched)) == watched == [facts for _, facts in store.episodes(run_id)]
+    for facts in watched:
+        assert facts["searched"] == (facts["k"] >= TINY.warm_up)
+        assert facts["env_steps"] == 31 * (facts["k"] + 1) and facts["length"] == 31
+        assert set(facts["seconds"]) == {"propose", "judge", "learn"}
+    last = watched[-1]
+    assert 0 <= last["coverage"] <= 1 and last["beta"] > 0 and last["deviation"] > 0
+    assert last["rollout_errors"]["50"] is None  # episodes have 31 steps
+    assert last["rollout_errors"]["1"] == pytest.approx(last["deviation"], rel=1e-3)
+
+
+def test_the_store_has_every_trajectory_question_and_answer(finished):
+    store, run_id, watched, _ = finished
+    rows = store.trajectories(run_id)
+    assert [row.kind for row in rows] == ["random"] * TINY.warm_up + ["policy"] * (TINY.comparisons + 1 - TINY.warm_up)
+    returns = [row.rewards.sum() for row in rows]
+    for question, facts in zip(store.questions(run_id), watched, strict=True):
+        assert question.first == question.k == facts["k"] and question.second < question.first
+        assert question.g == facts["g"] == pytest.approx(returns[question.first] - returns[question.second], abs=1e-3)
+    assert {answer.judge for answer in store.answers(run_id)} == {"rule"}
+
+
+def test_the_policy_comes_back_from_the_store(finished):
+    store, run_id, *_ = finished
+    world = world_from("linear")
+    one, other = actor_of(store, run_id, world), actor_of(store, run_id, world)
+    s = jnp.array([0.3, -0.2, 0.1])
+    np.testing.assert_array_equal(one.policy.mode(s), other.policy.mode(s))
+
+
+def test_before_its_first_episode_a_run_has_no_policy(store):
+    world = world_from("linear")
+    run_id = start(store, world, SPEC)
+    with pytest.raises(InputError) as caught:
+        actor_of(store, run_id, world)
+    message = str(caught.value)
+    assert "has not finished an episode" in message and "after the first" in message and "hiprl resume" in message
+
+
+def test_a_run_that_is_not_finished_has_the_best_policy_so_far(store):
+    world, asked = world_from("linear"), []
+
+    def four_times(tau, other, *, key):
+        asked.append(1)
+        return None if len(asked) > 4 else exact(tau, other, key=key)
+
+    run_id = start(store, world, SPEC)
+    with pytest.raises(JudgeError):
+        carry_on(store, run_id, world, four_times)
+    a = actor_of(store, run_id, world).policy.mode(jnp.array([0.3, -0.2, 0.1]))
+    assert a.shape == (2,) and np.isfinite(a).all()
+
+
+def test_where_nothing_is_paid_nothing_is_reported_as_paid(store):
+    world = Blind(world_from("linear"))
+    run_id = start(store, world, SPEC)
+    watched = []
+    judge = judge_from(lambda tau, other: float(tau.states[-1, 0] - other.states[-1, 0]))
+    summary = carry_on(store, run_id, world, judge, watch=watched.append)
+    assert summary["return_mean"] is None and summary["return_std"] is None
+    assert all(facts["true_return"] is None for facts in watched)
+    json.dumps(watched, allow_nan=False)
+
+
+def test_where_nothing_is_paid_the_exact_judge_leaves_the_question_open(store):
+    world = Blind(world_from("linear"))
+    run_id = start(store, world, SPEC)
+    with pytest.raises(JudgeError, match="judge of your own"):
+        carry_on(store, run_id, world, exact)
+    assert len(store.questions(run_id, unanswered=True)) == 1
+
+
+def test_a_world_that_breaks_loses_nothing_that_was_learned(store):
+    class Breaking(Blind):
+        def roll_out(self, actor, *, key):
+            self.count = getattr(self, "count", 0) + 1
+            if self.count == 5:
+                raise WorldError("it broke; it must not. Mend it.")
+            return self.world.roll_out(actor, key=key)
+
+    run_id = start(store, world_from("linear"), SPEC)
+    with pytest.raises(WorldError):
+        carry_on(store, run_id, Breaking(world_from("linear")), exact)
+    assert len(store.episodes(run_id)) == 3 and store.questions(run_id, unanswered=True) == []
+    summary = carry_on(store, run_id, world_from("linear"), exact)
+    assert summary["comparisons"] == TINY.comparisons
+
+
+def test_a_search_that_diverges_is_said_to(store, monkeypatch):
+    diverged = lambda f_tilde, reward, ends, T, state, config, *, key: (state, SearchReport.nothing())
+    monkeypatch.setattr("hiprl.algorithm.search", diverged)
+    world = world_from("linear")
+    run_id = start(store, world, SPEC)
+    with pytest.raises(FitDiverged) as caught:
+        carry_on(store, run_id, world, exact)
+    message = str(caught.value)
+    assert f"episode {TINY.warm_up}" in message and "must be finite" in message and "another seed" in message
+    assert len(store.episodes(run_id)) == TINY.warm_up - 1
+
+
+def test_no_evaluation_is_refused_in_three_parts():
+    with pytest.raises(InputError) as caught:
+        RunSpec(seed=0, config=TINY, judge="exact", eval_episodes=0)
+    message = str(caught.value)
+    assert "got 0 episodes" in message and "at least 1" in message and "--eval-episodes" in message
+
+
+def test_what_json_has_no_word_for_is_none():
+    facts = {"a": math.nan, "b": {"c": math.inf, "d": 1.5}, "e": True, "f": -math.inf, "g": 3}
+    assert finite_or_none(facts) == {"a": None, "b": {"c": None, "d": 1.5}, "e": True, "f": None, "g": 3}
