@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -17,6 +17,7 @@ def taus_of(seed, ns):
     return [trajectory(rng, length=n, terminated=n % 2 == 0) for n in ns]
 
 
+@settings(max_examples=10)
 @given(seeds, several)
 def test_what_was_added_comes_back(seed, ns):
     taus = taus_of(seed, ns)
@@ -28,6 +29,7 @@ def test_what_was_added_comes_back(seed, ns):
             np.testing.assert_array_equal(put, got)
 
 
+@settings(max_examples=10)
 @given(seeds, several)
 def test_transitions_are_those_of_each_trajectory_in_turn(seed, ns):
     taus = taus_of(seed, ns)
@@ -46,6 +48,7 @@ def test_transitions_are_those_of_each_trajectory_in_turn(seed, ns):
     assert int(rows.terminated[seen].sum()) == sum(n % 2 == 0 for n in ns)
 
 
+@settings(max_examples=10)
 @given(seeds, several)
 def test_padding_changes_nothing_that_is_read(seed, ns):
     T = set_of(taus_of(seed, ns))
@@ -56,6 +59,7 @@ def test_padding_changes_nothing_that_is_read(seed, ns):
         np.testing.assert_array_equal(x, y)
 
 
+@settings(max_examples=10)
 @given(seeds, several, st.floats(0, 2))
 def test_the_box_holds_all_states_seen_and_its_margin(seed, ns, margin):
     taus = taus_of(seed, ns)
@@ -66,6 +70,7 @@ def test_the_box_holds_all_states_seen_and_its_margin(seed, ns, margin):
     np.testing.assert_allclose(high, seen.max(0) + margin * width, atol=1e-5)
 
 
+@settings(max_examples=10)
 @given(seeds, several)
 def test_first_states_are_where_episodes_began(seed, ns):
     taus = taus_of(seed, ns)

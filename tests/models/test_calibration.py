@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -53,6 +53,7 @@ def test_the_quantile_does_not_see_what_lies_past_the_count():
     assert float(conformal_quantile(scores, jnp.asarray(3))) == 3.0
 
 
+@settings(max_examples=12)
 @given(seeds, lengths)
 def test_model_errors_are_those_of_a_plain_loop(ensemble, scores, predict, seed, n):
     tau = trajectory(np.random.default_rng(seed), length=n)
@@ -75,6 +76,7 @@ def test_model_errors_are_those_of_a_plain_loop(ensemble, scores, predict, seed,
     np.testing.assert_allclose(seen.beta, np.clip(z[rank - 1], MIN_BETA, MAX_BETA), rtol=2e-3)
 
 
+@settings(max_examples=12)
 @given(seeds, lengths)
 def test_rollout_errors_are_those_of_a_plain_loop(ensemble, predict, seed, n):
     tau = trajectory(np.random.default_rng(seed), length=n)

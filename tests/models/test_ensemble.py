@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 
 from hiprl.models.ensemble import MAX_LOG_VAR, MIN_LOG_VAR, Ensemble, Member, bounded_var
 from hiprl.models.network import Scaler
@@ -45,6 +45,7 @@ def test_sigma_is_the_spread_of_the_members_means(predictions, seed):
     np.testing.assert_allclose(belief.sigma, np.std(np.asarray(each.mu, float), axis=0, ddof=1), rtol=1e-3, atol=1e-5)
 
 
+@settings(max_examples=12)
 @given(seeds)
 def test_noise_is_the_members_noise_and_no_part_of_sigma(ensemble, predictions, seed):
     s, a = draw(seed)
@@ -72,6 +73,7 @@ def test_a_member_is_sure_of_itself(ensemble):
         assert jax.tree.leaves(one.members())[0].shape[0] == 1
 
 
+@settings(max_examples=12)
 @given(seeds)
 def test_other_units_inside_leave_the_means_as_they_were(ensemble, seed):
     rng = np.random.default_rng(seed)

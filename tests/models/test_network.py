@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 
 from hiprl.models.network import MLP, Scaler, state_action_scaler, state_scaler, step_scaler
 from tests.data.samples import lengths, p, q, seeds, set_of, trajectory
@@ -38,6 +38,7 @@ def test_an_entry_that_never_varies_keeps_its_unit():
     np.testing.assert_array_equal(units.down(jnp.array([2.0, 5.5]))[1], 0.5)
 
 
+@settings(max_examples=10)
 @given(seeds, lengths, lengths)
 def test_the_units_of_a_set_are_those_of_its_steps(seed, n, m):
     rng = np.random.default_rng(seed)

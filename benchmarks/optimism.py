@@ -1,0 +1,68 @@
+"""Optimism against greed: pendulum swing-up with a narrow reward and a price on torque.
+
+A policy that does nothing gets 0; whoever tries and misses the top gets less. `solved_at`: after how many comparisons
+the policy that would be reported had swung up, that is, returned more than half of what the best of all runs did.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from benchmarks.common import Report, parser
+from benchmarks.runner import Job, Outcome, add_running, by_arm, run_all, seeds_of, spread
+
+ARMS = ("greedy", "thompson", "eta_policy", "eta_sign", "bonus")
+
+
+def solved_at(reported: list[float | None], enough: float) -> int | None:
+    """After how many comparisons a reported policy first returned `enough`."""
+    return next((k for k, value in enumerate(reported, start=1) if value is not None and value >= enough), None)
+
+
+def row(arm: str, outcomes: list[tuple[Job, Outcome]], best: float) -> dict[str, Any]:
+    """One line of the table."""
+    returns = [outcome["return_mean"] for _, outcome in outcomes]
+    solved = [solved_at(outcome["reported"], best / 2) for _, outcome in outcomes] if best > 0 else []
+    return {
+        "arm": arm,
+        **spread(returns),
+        "solved": sum(value > best / 2 > 0 for value in returns),
+        "solved_at": ", ".join("never" if k is None else str(k) for k in solved),
+        "wall_s": sum(outcome["wall_seconds"] for _, outcome in outcomes) / len(outcomes),
+    }
+
+
+def main() -> None:
+    """Runs what is missing and reports."""
+    made = parser(__doc__)
+    add_running(made, results="runs/benchmarks/optimism.jsonl", seeds="0-9")
+    made.add_argument("--arms", nargs="+", default=list(ARMS), choices=ARMS, help="modes compared")
+    made.add_argument("--action-cost", type=float, default=0.1, help="what a full torque costs a step")
+    made.add_argument("--comparisons", type=int, default=20, help="answers that the judge gives")
+    options = made.parse_args()
+    if options.quick:
+        options.seeds, options.comparisons, options.arms = "0", 6, ["greedy", "thompson"]
+        options.results = options.results.with_name("optimism-quick.jsonl")
+    env = f"swing-up:action_cost={options.action_cost:g}"
+    jobs = [
+        Job(
+            arm=arm,
+            env=env,
+            seed=seed,
+            settings={"config": {"optimism": arm, "comparisons": options.comparisons}},
+        )
+        for seed in seeds_of(options.seeds)
+        for arm in options.arms
+    ]
+    outcomes = run_all(jobs, results=options.results, workers=options.workers)
+    best = max(outcome["return_mean"] for _, outcome in outcomes)
+    report = Report(f"Swing-up, action cost {options.action_cost:g}, {options.comparisons} comparisons")
+    for (_, arm), group in by_arm(outcomes).items():
+        report.add(**row(arm, group, best))
+    report.notes.append(f"The best policy of all runs returns {best:.1f}; doing nothing returns 0.")
+    report.show()
+    report.write(options.json, seeds=seeds_of(options.seeds), env=env)
+
+
+if __name__ == "__main__":
+    main()
