@@ -209,7 +209,6 @@ def test_the_executed_return_is_over_as_many_steps_as_the_trial(runs):
     assert float(executed) == pytest.approx(float(np.sum(r)), rel=1e-3)
 
 
-@pytest.mark.xfail(strict=True, reason="begin splits the run's key, and split(key)[i] is fold_in(key, i)")
 def test_the_first_trajectory_and_the_episodes_draw_from_different_keys(runs, world):
     episodes = {data(jr.fold_in(jr.key(5), k)) for k in range(TINY.comparisons + 1)}
     assert world.keys[0] not in episodes

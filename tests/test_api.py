@@ -58,7 +58,6 @@ def test_an_observation_of_another_shape_is_refused_in_three_parts(learned, shap
     assert f"shape {shape}" in message and "(3,)" in message and "(n, 3)" in message and "reset and" in message
 
 
-@pytest.mark.xfail(strict=True, reason="one key is split off for no rows")
 def test_an_empty_batch_gives_no_actions(learned):
     assert learned.predict(np.zeros((0, 3)))[0].shape == (0, 2)
 

@@ -34,6 +34,7 @@ from hiprl.rollout import J
 from hiprl.types import Actor, Count, Flag, Key, Scalar
 from hiprl.world.task import World
 
+BEGINNING = (1 << 30) - 1  # folded into the run's key before the loop; no run has as many episodes
 OVERPROMISE = 3.0  # times the executed return, by which imagination may exceed it before κ is halved
 
 
@@ -120,7 +121,7 @@ def no_trajectories(world: World, config: Config) -> Trajectories:
 
 def begin(world: World, config: Config, *, key: Key) -> Run:
     """Algorithm 1 before its loop: T = {τ_0}, by random actions."""
-    model_key, world_key = jr.split(key)
+    model_key, world_key = jr.split(jr.fold_in(key, BEGINNING))
     tau_0 = world.roll_out(Uniform(jnp.ones(()), world.q), key=world_key)
     return nothing_known(no_trajectories(world, config).add(tau_0), config, key=model_key)
 

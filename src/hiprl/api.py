@@ -58,11 +58,11 @@ class Learned:
                 f"({self.world.p},), or (n, {self.world.p}) for n of them. Pass what the environment's reset and "
                 "step give."
             )
-        keys = jr.split(jr.fold_in(self._key, self._draws), max(len(batch), 1) if batch.ndim == 2 else 1)
+        key = jr.fold_in(self._key, self._draws)
         self._draws += 1
         if batch.ndim == 1:
-            return self.world.scaled(np.asarray(_act(self.actor, batch, keys[0]))), state
-        return self.world.scaled(np.asarray(_act_many(self.actor, batch, keys))), state
+            return self.world.scaled(np.asarray(_act(self.actor, batch, key))), state
+        return self.world.scaled(np.asarray(_act_many(self.actor, batch, jr.split(key, len(batch))))), state
 
 
 _act = jax.jit(lambda actor, s, key: actor.act(s, key=key))

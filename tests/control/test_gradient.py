@@ -37,7 +37,7 @@ def search():
 
     @jax.jit
     def compiled(f_tilde, reward, unit, places, state, key):
-        return gradient_search(f_tilde, reward, unit, None, places, state, CONFIG, key=key)
+        return gradient_search(f_tilde, reward, unit, None, places, state, CONFIG, H=1000, key=key)
 
     return compiled
 
@@ -104,7 +104,7 @@ def test_a_linear_system_is_driven_within_a_tenth_of_its_optimum():
 
     @jax.jit
     def longer(f_tilde, reward, unit, places, state, key):
-        return gradient_search(f_tilde, reward, unit, None, places, state, config, key=key)
+        return gradient_search(f_tilde, reward, unit, None, places, state, config, H=1000, key=key)
 
     task, state, _ = linear_search(longer, unit=0.02)
     task, state, _ = linear_search(longer, state=state, seed=3, unit=0.02)
@@ -171,7 +171,7 @@ def test_hope_makes_a_reward_out_of_reach_look_near(mode):
 
     @jax.jit
     def run(f_tilde, state):
-        return gradient_search(f_tilde, reward, jnp.asarray(1.0), None, starts(), state, CONFIG, key=jr.key(2))
+        return gradient_search(f_tilde, reward, jnp.asarray(1.0), None, starts(), state, CONFIG, H=1000, key=jr.key(2))
 
     values = {}
     for name in ("greedy", mode):

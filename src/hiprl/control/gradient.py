@@ -84,6 +84,7 @@ def gradient_search(
     state: SearchState,
     config: GradientConfig,
     *,
+    H: int,
     key: Key,
 ) -> tuple[SearchState, SearchReport]:
     """The policy, and its η, that is best in the hallucinated model, eq. (6); starts from `state`.
@@ -95,6 +96,7 @@ def gradient_search(
         ends: when an imagined episode terminates; None for never.
         starts: where rollouts begin.
         state: policy and value of the search before.
+        H: most steps in an episode; a trial lasts no longer.
     """
     scale = unit / (1 - config.gamma)
     policy, value = state.policy.rescaled(starts.scaler), state.value.rescaled(starts.scaler, scale)
@@ -177,7 +179,7 @@ def gradient_search(
         update_key, trial_key = jr.split(chunk_key)
         learner, _ = jax.lax.scan(update, learner, jr.split(update_key, config.updates))
         policy, value = learner[:2]
-        trial = {"steps": config.trial_steps, "n": config.trial_starts}
+        trial = {"steps": min(config.trial_steps, H), "n": config.trial_starts}
         report = report_of(trials(everywhere, policy, reward, ends, starts.first, **trial, key=trial_key))
         better = report.finite & ~(report.worst <= best_report.worst)
         keep = lambda new, old: jnp.where(better, new, old)

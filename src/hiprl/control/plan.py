@@ -92,7 +92,7 @@ class Mpc(Actor):
         def improve(carry, key: Key):
             mean, spread, best, best_worth = carry
             noise = jr.normal(key, (config.proposals, *mean.shape))
-            proposals = jnp.clip(mean + spread * noise, -1.0, 1.0).at[0].set(mean)
+            proposals = jnp.clip(mean[None] + spread[None] * noise, -1.0, 1.0).at[0].set(mean)
             scores = jax.vmap(worth)(proposals)
             top, rows = jax.lax.top_k(scores, config.elites)
             elites = proposals[rows]

@@ -217,7 +217,7 @@ def ppo_search(
     )
     n = -(-config.total_timesteps // config.n_steps)
     (learner, _, _), _ = jax.lax.scan(iteration, carry, jr.split(iterate_key, n))
-    trial = {"steps": config.trial_steps, "n": config.trial_starts}
+    trial = {"steps": min(config.trial_steps, H), "n": config.trial_starts}
     everywhere = f_tilde.in_each_member()
     report = report_of(trials(everywhere, learner.policy, reward, ends, starts.first, **trial, key=trial_key))
     return learner, report

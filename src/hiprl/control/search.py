@@ -53,7 +53,7 @@ def search(
     rows = T.transitions()
     seen = rows.s[RowDraw.of(rows.mask)(start_key, (SEEN_STATES,))]
     starts = Starts(seen, T.first_states(), state_scaler(T))
-    if isinstance(config, GradientConfig):
-        return gradient_search(f_tilde, reward, reward.unit, ends, starts, state, config, key=search_key)
     H = T.rows.actions.shape[1]
+    if isinstance(config, GradientConfig):
+        return gradient_search(f_tilde, reward, reward.unit, ends, starts, state, config, H=H, key=search_key)
     return ppo_search(f_tilde, reward, ends, starts, state, config, H=H, key=search_key)
