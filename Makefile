@@ -23,6 +23,7 @@ help:
 demo: .venv/.installed
 	@mkdir -p runs
 	$(DEMO)
+	@echo "Next: $(BIN)/hiprl train HalfCheetah-v5   (learns to run from 30 comparisons; about ten minutes)"
 
 test: .venv/.installed-dev
 	$(BIN)/python -m pytest -m "not slow"

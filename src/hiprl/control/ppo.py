@@ -144,7 +144,7 @@ def ppo_search(
         def step(now: Rollouts, draws):
             act_draw, f_draw, first = draws
             mean, log_std = jax.vmap(policy.gaussian, out_axes=(0, None))(now.s)
-            u = mean + jnp.exp(log_std) * act_draw
+            u = mean + jnp.exp(log_std)[None] * act_draw
             box = jnp.clip(u, -1.0, 1.0)
             s_next, bonus = step_each(worlds, value, now.s, box, f_draw)
             a = jax.vmap(lambda u: f_tilde.split(u)[0])(box)
@@ -156,7 +156,7 @@ def ppo_search(
 
         rollouts, (s, u, a, bonus, on, s_next, fresh) = jax.lax.scan(step, rollouts, (act_draws, f_draws, first))
         r = jax.vmap(jax.vmap(reward))(s, a) + bonus
-        log_prob = jnp.sum(-0.5 * act_draws**2 - policy.log_std - LOG_ROOT_2PI, axis=-1)
+        log_prob = jnp.sum(-0.5 * act_draws**2 - policy.log_std[None, None] - LOG_ROOT_2PI, axis=-1)
         v, v_next = jax.vmap(jax.vmap(value))(s), jax.vmap(jax.vmap(value))(s_next)
         delta = r + config.gamma * on * v_next - v
 

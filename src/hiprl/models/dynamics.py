@@ -117,8 +117,8 @@ def estimate_dynamics(
         train_loss,
         held_out_loss,
         optax.adamw(rate, weight_decay=config.weight_decay),
-        chunk=config.chunk,
-        max_chunks=-(-steps // config.chunk),
+        chunk=min(config.chunk, steps),
+        max_chunks=max(steps // config.chunk, 1),
         patience=config.patience,
         key=fit_key,
     )
