@@ -2,10 +2,13 @@ import pytest
 
 from hiprl.config import PRESETS, Config, paper, preset
 from hiprl.control.gradient import GradientConfig
+from hiprl.control.plan import PlanConfig
 from hiprl.control.ppo import PPOConfig
 from hiprl.errors import InputError
+from hiprl.models.dynamics import DynamicsConfig
 from hiprl.models.reward import AdditiveConfig
 from hiprl.models.reward_network import NetworkConfig
+from hiprl.session import RunSpec
 
 
 def message_of(**settings):
@@ -98,3 +101,18 @@ def test_an_unknown_preset_is_refused_in_three_parts():
         preset("papre", "Hopper-v5")
     message = str(caught.value)
     assert "'papre'" in message and all(name in message for name in PRESETS) and "--preset" in message
+
+
+WITHOUT_A_MEANING = {
+    "one member": lambda: DynamicsConfig(M=1),
+    "one reward network": lambda: NetworkConfig(members=1),
+    "more elites than proposals": lambda: PlanConfig(elites=65),
+    "a seed that is too large": lambda: RunSpec(seed=1 << 32, config=Config(), judge="exact"),
+    "a negative seed": lambda: RunSpec(seed=-1, config=Config(), judge="exact"),
+}
+
+
+@pytest.mark.parametrize("wrong", WITHOUT_A_MEANING)
+def test_a_setting_without_a_meaning_is_refused_in_three_parts(wrong):
+    with pytest.raises(InputError, match=r"got .*; .*\. (Take|Change|Choose) "):
+        WITHOUT_A_MEANING[wrong]()

@@ -69,6 +69,11 @@ class RunSpec:
                 f"got {self.eval_episodes} episodes for the final evaluation; at least 1 is needed to report a return. "
                 "Say for example `--eval-episodes 10`."
             )
+        if not 0 <= self.seed < 1 << 32:
+            raise InputError(
+                f"got the seed {self.seed}; a seed is a whole number from 0 to 4294967295, since draws know 32 bits of "
+                "it and no more. Choose a smaller one."
+            )
 
 
 def start(store: Store, world: World, spec: RunSpec) -> str:

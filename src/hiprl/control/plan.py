@@ -12,6 +12,7 @@ import jax.random as jr
 from jaxtyping import Array, Float
 
 from hiprl.control.imagined import Ends, SearchState, goes_on
+from hiprl.errors import InputError
 from hiprl.hallucinated import Hallucinated
 from hiprl.types import Action, Actor, Key, Policy, Reward, Scalar, State
 
@@ -37,6 +38,13 @@ class PlanConfig:
     """Steps planned ahead; the value stands for what follows."""
     spread: float = 0.3
     """Standard deviation of the first round around the policy's own sequence; actions are in [-1, 1]."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in PLANS or not 1 <= self.elites <= self.proposals:
+            raise InputError(
+                f"got the plan {self.kind!r} with {self.elites} elites of {self.proposals} proposals; a plan is one of "
+                f"{', '.join(PLANS)}, with at least 1 elite and at most as many as proposals. Change what does not fit."
+            )
 
 
 class Follow(Actor):

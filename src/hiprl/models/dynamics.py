@@ -13,6 +13,7 @@ import optax
 from jaxtyping import Array, Float, UInt32
 
 from hiprl.data.trajectory_set import Trajectories
+from hiprl.errors import InputError
 from hiprl.models.ensemble import Ensemble, Member
 from hiprl.models.fit import FitReport, fit
 from hiprl.models.network import Activation, state_action_scaler, step_scaler
@@ -48,6 +49,13 @@ class DynamicsConfig:
     """Share of the transitions that no member trains on."""
     bootstrap: bool = True
     """Whether each member weighs the transitions by Poisson(1) draws of its own (paper: no)."""
+
+    def __post_init__(self) -> None:
+        if self.M < 2:
+            raise InputError(
+                f"got an ensemble of M = {self.M}; at least 2 members are needed, as σ is the spread of their means. "
+                "Take 5, as the paper does."
+            )
 
 
 class DynamicsState(eqx.Module):

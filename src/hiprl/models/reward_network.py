@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from hiprl.data.preference import Preferences
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
+from hiprl.errors import InputError
 from hiprl.models.fit import descend, descent
 from hiprl.models.network import MLP, Activation, Scaler, state_action_scaler
 from hiprl.models.reward import EstimatedReward, Gap, typical_size
@@ -35,6 +36,13 @@ class NetworkConfig:
     """Of Adam (paper)."""
     steps: int = 200
     """Gradient steps after each answer, each on all answers. The paper does not say how many."""
+
+    def __post_init__(self) -> None:
+        if self.members < 2:
+            raise InputError(
+                f"got {self.members} reward networks; at least 2 are needed, as σ_g is the spread of what they "
+                "predict. Take 5."
+            )
 
 
 class NetworkReward(EstimatedReward):
