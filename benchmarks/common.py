@@ -67,6 +67,13 @@ class Timed(NamedTuple):
     wall: float
     """Seconds that passed; more than `cpu` where other processes want the core."""
 
+    @property
+    def seconds(self) -> float:
+        """What counts: computing time on a CPU, as others may want it too; time passed on an accelerator."""
+        import jax
+
+        return self.cpu if jax.default_backend() == "cpu" else self.wall
+
 
 def timed(f: Callable[[], Any], *, repeats: int) -> Timed:
     """How long `f` takes: the best of `repeats` calls, each waited for. Call it once before, to compile."""
@@ -132,13 +139,14 @@ class Report:
         from rich.table import Table
 
         names = list(columns or dict.fromkeys(name for row in self.rows for name in row))
-        table = Table(title=self.title, title_justify="left")
+        table = Table()
         for name in names:
             numbers = all(not isinstance(row.get(name), str) for row in self.rows)
             table.add_column(name.replace("_", " "), justify="right" if numbers else "left")
         for row in self.rows:
             table.add_row(*(said(row.get(name)) for name in names))
         console = Console(width=None if sys.stdout.isatty() else 160)
+        console.print(f"[bold]{self.title}[/bold]")
         console.print(table)
         for note in self.notes:
             console.print(note)

@@ -20,6 +20,7 @@ from typing import Any
 
 from benchmarks.common import Report, add_core, one_core, parser, progress
 
+SHARE = 3  # a run is killed after at most this part of the time that it needs: so several times before its end
 OWN = ("run", "store", "wall_seconds")  # of a summary: what differs between two runs
 
 
@@ -89,9 +90,10 @@ def killed(line: Sequence[str], after: float) -> bool:
     try:
         _, said = process.communicate(timeout=after)
     except subprocess.TimeoutExpired:
-        process.kill()
-        process.communicate()
         return True
+    finally:
+        process.kill()
+        process.wait()
     if process.returncode:
         raise SystemExit(f"{' '.join(line)} failed:\n{said[-2000:]}")
     return False
@@ -134,7 +136,7 @@ def measure(options: argparse.Namespace, folder: Path, report: Report) -> list[s
         number += 1
         store, held, going = folder / f"killed-{number}.db", [], True
         while going and len(report.rows) < options.kills:
-            after = moments.uniform(0, took)
+            after = moments.uniform(0, took / SHARE)
             going = killed(command(options, store), after)
             if not going:
                 break

@@ -47,7 +47,7 @@ def main() -> None:
         one_task(task, options, report)
     report.notes.append(
         "compile: seconds to build the program, once a run (a cache keeps it for later runs). "
-        "steps_per_s: imagined steps a CPU second, compilation apart. times_sb3: the same over Stable-Baselines3's."
+        "steps_per_s: imagined steps a CPU second (on a GPU: a second), compilation apart. times_sb3: the same over Stable-Baselines3's."
     )
     report.show()
     report.write(options.json, seed=options.seed, repeats=options.repeats)
@@ -104,7 +104,7 @@ def one_task(task: str, options: argparse.Namespace, report: Report) -> None:
 
 def numbers(steps: int, compile_s: float, took: Timed, sb3: dict[str, Any] | None) -> dict[str, Any]:
     """What was measured of a search of ours, beside the other side's."""
-    rate = steps / took.cpu
+    rate = steps / took.seconds
     row = {"steps": steps, "cpu_s": took.cpu, "wall_s": took.wall, "compile_s": compile_s, "steps_per_s": rate}
     return row if sb3 is None else row | {"times_sb3": rate / (sb3["steps"] / sb3["cpu"])}
 

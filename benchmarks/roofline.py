@@ -160,8 +160,8 @@ def seconds_alone(product: Product) -> float:
 
 
 def seconds(loop: Any, *arguments: Any) -> float:
-    """CPU seconds of one call."""
-    return timed(lambda: loop(*arguments), repeats=1).cpu
+    """Seconds of one call."""
+    return timed(lambda: loop(*arguments), repeats=1).seconds
 
 
 def alone(works: list[Work]) -> dict[Product, float]:
@@ -256,7 +256,7 @@ def main() -> None:
     for one in found:
         flops = sum(product.flops * count for product, count in one.work.items())
         ideal = sum(each[product] * count for product, count in one.work.items())
-        took = one.took.cpu / one.units
+        took = one.took.seconds / one.units
         report.add(
             what=one.name,
             unit=one.unit,
@@ -270,7 +270,7 @@ def main() -> None:
         )
     report.notes.append(
         f"The same machine gives {large.flops / each[large] / 1e9:.0f} GFLOP/s on a square product of {LARGE}. "
-        "All times are CPU seconds; compile_s is spent once a run at most."
+        "Times are CPU seconds (on a GPU: seconds); compile_s is spent once a run at most."
     )
     report.show()
     products = [

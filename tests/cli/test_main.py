@@ -136,7 +136,7 @@ def test_a_line_that_cannot_be_read_is_wrong_input(words: list[str], capsys: pyt
         (["linear", "--comparisons", "0"], "--comparisons"),
         (["linear", "--horizon", "0"], "--horizon"),
         (["linear", "--eval-episodes", "0"], "--eval-episodes"),
-        (["linear", "--seed", str(2**70)], "64 bits"),
+        (["linear", "--seed", str(2**70)], "32 bits"),
         (["linear", "--terminates", "nowhere:rule"], "nowhere"),
         (["linear:size=3"], "noise_std"),
         (["nowhere:make"], "nowhere"),

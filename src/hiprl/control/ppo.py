@@ -14,10 +14,11 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from hiprl.control.imagined import Ends, SearchReport, SearchState, Starts, goes_on, report_of, trials
 from hiprl.control.policy import LOG_ROOT_2PI, ClippedPolicy, Value, log_normal
+from hiprl.errors import InputError
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.fit import descend, descent
 from hiprl.models.network import Activation, Scaler
@@ -60,6 +61,13 @@ class PPOConfig:
     """Length of the trial at the end."""
     trial_starts: int = 8
     """Trials in each member."""
+
+    def __post_init__(self) -> None:
+        if self.n_steps % self.rollouts:
+            raise InputError(
+                f"got {self.n_steps} steps an iteration and {self.rollouts} rollouts; the rollouts share the steps "
+                f"evenly. Take a multiple of {self.rollouts} steps."
+            )
 
     @property
     def length(self) -> int:
@@ -115,11 +123,14 @@ def ppo_search(
         state: policy and value of the search before.
         H: steps after which an imagined episode is cut (and bootstrapped).
     """
-    optimiser = optax.chain(optax.clip_by_global_norm(config.max_grad_norm), optax.adam(config.learning_rate, eps=1e-5))
+    adam = optax.adam(config.learning_rate, eps=1e-5)
+    # over one long vector: the minibatches are small, and a step an array would cost as much as the products
+    optimiser = optax.flatten(optax.chain(optax.clip_by_global_norm(config.max_grad_norm), adam))
     policy, value = state.policy.rescaled(starts.scaler), state.value.rescaled(starts.scaler, jnp.ones(()))
     worlds, axis = f_tilde.worlds()
     M = stacked_size(worlds) if axis == 0 else 1
-    per_world = config.rollouts // M
+    per_world = -(-config.rollouts // M)
+    spare = M * per_world - config.rollouts
 
     def begin(key: Key, shape: tuple[int, ...]) -> Float[Array, "*shape p"]:
         return jr.choice(key, starts.first, shape)
@@ -128,10 +139,11 @@ def ppo_search(
         one = lambda world, s, u, draw: world.step(s, u, draw=draw, value=value)
         if axis is None:
             return jax.vmap(one, in_axes=(None, 0, 0, 0))(worlds, s, u, draws)
-        # rollouts i, i + M, ... live in member i
-        by_world = lambda x: x.reshape(M, per_world, *x.shape[1:])
+        # a share of the rollouts in each member; where they do not come out even, copies of the last one fill up
+        even = lambda x: jnp.concatenate([x, jnp.broadcast_to(x[-1], (spare, *x.shape[1:]))])
+        by_world = lambda x: even(x).reshape(M, per_world, *x.shape[1:])
         s, bonus = jax.vmap(jax.vmap(one, in_axes=(None, 0, 0, 0)))(worlds, by_world(s), by_world(u), by_world(draws))
-        return s.reshape(config.rollouts, -1), bonus.reshape(-1)
+        return s.reshape(M * per_world, -1)[: config.rollouts], bonus.reshape(-1)[: config.rollouts]
 
     def imagine(policy: ClippedPolicy, value: Value, rollouts: Rollouts, key: Key) -> tuple[Rollouts, Samples]:
         act_key, f_key, begin_key = jr.split(key, 3)
@@ -159,13 +171,7 @@ def ppo_search(
         log_prob = jnp.sum(-0.5 * act_draws**2 - policy.log_std[None, None] - LOG_ROOT_2PI, axis=-1)
         v, v_next = jax.vmap(jax.vmap(value))(s), jax.vmap(jax.vmap(value))(s_next)
         delta = r + config.gamma * on * v_next - v
-
-        def backward(after: Float[Array, " n"], now):
-            delta, fresh = now
-            advantage = delta + config.gamma * config.gae_lambda * jnp.where(fresh, 0.0, after)
-            return advantage, advantage
-
-        _, advantage = jax.lax.scan(backward, jnp.zeros(config.rollouts), (delta, fresh), reverse=True)
+        advantage = advantages(delta, fresh, config.gamma * config.gae_lambda)
         samples = Samples(s, u, log_prob, advantage, advantage + v)
         return rollouts, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)
 
@@ -194,15 +200,14 @@ def ppo_search(
 
         def epoch(carry, epoch_key: Key):
             order = jnp.pad(jr.permutation(epoch_key, config.n_steps), (0, padded - config.n_steps))
+            batches = jax.tree.map(lambda x: x[order].reshape(minibatches, -1, *x.shape[1:]), samples)
 
             def step(carry, now):
                 learner, opt_state = carry
-                rows, weight = now
-                batch = jax.tree.map(lambda x: x[rows], samples)
-                gradient = jax.grad(loss)(learner, batch, weight)
+                gradient = jax.grad(loss)(learner, *now)
                 return descend(optimiser, learner, without_units(gradient), opt_state), None
 
-            return jax.lax.scan(step, carry, (order.reshape(minibatches, -1), weight))[0], None
+            return jax.lax.scan(step, carry, (batches, weight))[0], None
 
         keys = jr.split(shuffle_key, config.n_epochs)
         (learner, opt_state), _ = jax.lax.scan(epoch, (learner, opt_state), keys)
@@ -221,6 +226,26 @@ def ppo_search(
     everywhere = f_tilde.in_each_member()
     report = report_of(trials(everywhere, learner.policy, reward, ends, starts.first, **trial, key=trial_key))
     return learner, report
+
+
+def advantages(delta: Float[Array, "h n"], fresh: Bool[Array, "h n"], rate: float) -> Float[Array, "h n"]:
+    """Σ rate^i δ_{t+i} along each rollout, up to where it ends or begins anew.
+
+    Args:
+        delta: TD errors r + γV(s′) - V(s); without γV(s′) where the episode terminated.
+        fresh: whether the rollout begins anew after the step.
+        rate: γλ.
+
+    Source: generalised advantage estimation, Schulman et al. (2016).
+    """
+
+    def backward(after: Float[Array, " n"], now: tuple[Float[Array, " n"], Bool[Array, " n"]]):
+        delta, fresh = now
+        advantage = delta + rate * jnp.where(fresh, 0.0, after)
+        return advantage, advantage
+
+    _, found = jax.lax.scan(backward, jnp.zeros(delta.shape[1]), (delta, fresh), reverse=True)
+    return found
 
 
 def without_units(gradient: SearchState) -> SearchState:
