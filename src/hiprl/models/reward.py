@@ -7,6 +7,7 @@ come in, so a refit takes milliseconds.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -39,13 +40,13 @@ class EstimatedReward(Reward):
     unit: Scalar
     """Root mean square of r̂ over the steps seen: the scale of a reward."""
 
+    @abstractmethod
     def gap(self, tau: Trajectory, other: Trajectory) -> Gap:
         """g(τ, τ′; r̂) and its σ_g, in the judge's unit."""
-        raise NotImplementedError
 
+    @abstractmethod
     def returns(self, T: Trajectories) -> Float[Array, " N"]:
         """Sum of r̂ along each trajectory of T; minus infinity past the count."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)
