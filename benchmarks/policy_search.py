@@ -47,7 +47,8 @@ def main() -> None:
         one_task(task, options, report)
     report.notes.append(
         "compile_s: CPU seconds to build the program, once a run (a cache keeps it for later runs). steps_per_s: "
-        "imagined steps a CPU second (on a GPU: a second), compilation apart. times_sb3: the same over Stable-Baselines3's."
+        "imagined steps a CPU second (on a GPU: a second), compilation apart. times_sb3: the same over "
+        "Stable-Baselines3's."
     )
     report.show()
     report.write(options.json, seed=options.seed, repeats=options.repeats)
