@@ -4,7 +4,7 @@ import numpy as np
 
 from hiprl.control.gradient import GradientConfig
 from hiprl.control.search import new_search, search
-from hiprl.models.reward import EstimatedReward
+from hiprl.models.reward import EstimatedReward, Gap
 from tests.control.known import known
 from tests.data.samples import N, q, set_of, trajectory
 
@@ -17,6 +17,12 @@ class One(EstimatedReward):
 
     def __call__(self, s, a):
         return 1.0 + 0 * s[0]
+
+    def gap(self, tau, other):
+        return Gap(jnp.zeros(()), jnp.ones(()))
+
+    def returns(self, T):
+        return jnp.where(T.filled, 1.0 * H, -jnp.inf)
 
 
 ONE = One(jnp.ones(()))
