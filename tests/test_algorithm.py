@@ -9,6 +9,7 @@ import pytest
 
 from hiprl.algorithm import begin, best_actor, episode, learn, propose, restart, scored
 from hiprl.control.plan import Follow, Mpc, PlanConfig
+from hiprl.errors import FitDiverged
 from hiprl.feedback.judges import exact
 from hiprl.world.build import world_from
 from hiprl.world.task import World
@@ -216,3 +217,19 @@ def test_the_first_trajectory_and_the_episodes_draw_from_different_keys(runs, wo
 
 def test_no_two_episodes_draw_from_the_same_key(runs, world):
     assert len(set(world.keys[: TINY.comparisons + 1])) == TINY.comparisons + 1
+
+
+def test_random_actions_fill_the_box_in_the_papers_way_only(runs, world):
+    first = runs[0][0]
+    plain = replace(TINY, babble="uniform")
+    reach = lambda config, k: float(jnp.nanmax(jnp.abs(propose(first, world, config, key=jr.key(k)).tau.actions)))
+    assert min(reach(plain, k) for k in range(5)) > 0.8
+    assert min(reach(TINY, k) for k in range(5)) < 0.5
+
+
+def test_a_dynamics_model_that_diverges_is_told(runs, world):
+    known, done = runs
+    wild = replace(TINY, dynamics=replace(TINY.dynamics, learning_rate=1e30))
+    run, question = known[TINY.warm_up], done[TINY.warm_up].question
+    with pytest.raises(FitDiverged, match=r"smaller learning rate"):
+        learn(run, question, 1.0, world, wild, key=jr.key(0))

@@ -6,6 +6,7 @@ import pytest
 from hiprl.config import Config, paper
 from hiprl.control.gradient import GradientConfig
 from hiprl.control.plan import PlanConfig
+from hiprl.errors import StoreError
 from hiprl.models.dynamics import DynamicsConfig
 from hiprl.models.reward import AdditiveConfig
 from hiprl.spec import from_plain, to_plain, versions
@@ -43,3 +44,16 @@ def test_versions_name_all_that_a_draw_depends_on():
     known = versions()
     assert {"hiprl", "python", "jax", "jaxlib", "numpy", "mujoco"} <= set(known)
     assert json.loads(json.dumps(known)) == known
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda plain: plain | {"part": "NewConfig"}, "NewConfig"),
+        (lambda plain: plain | {"new_setting": 3}, "new_setting"),
+        (lambda plain: plain | {"plan": plain["plan"] | {"depth": 3}}, "depth"),
+    ],
+)
+def test_settings_of_a_newer_version_are_named(change, named):
+    with pytest.raises(StoreError, match=rf"have {named}, which this version .* install a newer one"):
+        from_plain(change(to_plain(Config())))

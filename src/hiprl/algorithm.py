@@ -24,6 +24,7 @@ from hiprl.control.search import new_search, search
 from hiprl.data.preference import Preferences
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
+from hiprl.errors import FitDiverged
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.calibration import Calibration, ModelErrors, model_errors
 from hiprl.models.dynamics import DynamicsState, estimate_dynamics, new_dynamics
@@ -132,7 +133,8 @@ def propose(run: Run, world: World, config: Config, *, key: Key) -> Question:
     other = run.T.pick(key=pick_key)
     state = restart(run, config)
     if int(run.k) + 1 < config.warm_up:
-        tau = world.roll_out(Uniform.draw(world.q, key=search_key), key=world_key)
+        random = Uniform.draw(world.q, key=search_key) if config.babble == "varied" else Uniform(jnp.ones(()), world.q)
+        tau = world.roll_out(random, key=world_key)
         return Question(tau, other, state, SearchReport.nothing(), searched=False)
     f_tilde = hallucinated(run, config)  # μ + βση, eq. (5)
     ends = ends_of(run, world)
@@ -143,7 +145,11 @@ def propose(run: Run, world: World, config: Config, *, key: Key) -> Question:
 
 
 def learn(run: Run, question: Question, g: float, world: World, config: Config, *, key: Key) -> Run:
-    """Takes the answer in and refits the models."""
+    """Takes the answer in and refits the models.
+
+    Raises:
+        FitDiverged: the loss of the dynamics model is not finite.
+    """
     dynamics_key, ending_key = jr.split(key)
     T = run.T.add(question.tau)
     P = run.P.add(jnp.asarray(g), T.last, question.other)
@@ -153,7 +159,12 @@ def learn(run: Run, question: Question, g: float, world: World, config: Config, 
     if int(run.k) + 2 >= config.warm_up:  # the next episode will search
         first = int(run.k) + 2 == config.warm_up
         steps = config.dynamics.cold_steps if first else config.dynamics.warm_steps
-        dynamics, _ = estimate_dynamics(T, dynamics, config.dynamics, steps=steps, key=dynamics_key)
+        dynamics, fitted = estimate_dynamics(T, dynamics, config.dynamics, steps=steps, key=dynamics_key)
+        if not jnp.isfinite(fitted.loss):
+            raise FitDiverged(
+                f"the dynamics model of episode {int(run.k) + 1} lost its numbers: the loss is not finite after any "
+                "of its training steps. All up to here is stored: try a smaller learning rate, or another seed."
+            )
         if world.ends and world.terminates is None:
             ending = estimate_ending(T, ending, key=ending_key)
     archive = run.archive.put(T.last, question.state) if question.searched else run.archive

@@ -17,6 +17,7 @@ from hiprl.models.reward import AdditiveConfig
 from hiprl.models.reward_network import NetworkConfig
 
 Preset: TypeAlias = Literal["default", "paper"]
+Babble: TypeAlias = Literal["varied", "uniform"]
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 
 
@@ -28,6 +29,8 @@ class Config:
     """K, the answers that the judge gives."""
     warm_up: int = 5
     """Trajectories with random actions at the start; the comparisons between them count (section 5)."""
+    babble: Babble = "varied"
+    """Random actions: `uniform` over their whole box (the paper), or in each episode over a box of `varied` size."""
     optimism: Optimism = "thompson"
     """How the search may use what the dynamics model does not know."""
     kappa: float = 1.0
@@ -62,6 +65,11 @@ class Config:
             raise InputError(
                 f"got the optimism {self.optimism!r}; it is one of {', '.join(OPTIMISM)}. "
                 "Choose one of these with `--optimism`."
+            )
+        if self.babble not in get_args(Babble):
+            raise InputError(
+                f"got babble {self.babble!r}; it is one of {', '.join(get_args(Babble))}. "
+                "Take `varied`: episodes of different effort tell more."
             )
         if not (self.kappa >= 0 and self.kappa_decay > 0 and self.bonus >= 0):
             raise InputError(
@@ -98,6 +106,7 @@ def paper(env: str) -> Config:
     Table 3 is for HalfCheetah; every other environment gets Table 2, as the paper gives no third.
     """
     return Config(
+        babble="uniform",
         optimism="eta_policy",
         restart=False,
         dynamics=DynamicsConfig(

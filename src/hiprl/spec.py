@@ -12,6 +12,7 @@ from hiprl.config import Config
 from hiprl.control.gradient import GradientConfig
 from hiprl.control.plan import PlanConfig
 from hiprl.control.ppo import PPOConfig
+from hiprl.errors import StoreError
 from hiprl.models.dynamics import DynamicsConfig
 from hiprl.models.reward import AdditiveConfig
 from hiprl.models.reward_network import NetworkConfig
@@ -32,10 +33,21 @@ def to_plain(config: Any) -> Any:
 
 
 def from_plain(plain: Any) -> Any:
-    """The config that `to_plain` was given."""
+    """The config that `to_plain` was given.
+
+    Raises:
+        StoreError: it has parts or settings that this version of hiprl does not know.
+    """
     if isinstance(plain, Mapping):
-        part = _PARTS[plain["part"]]
-        return part(**{name: from_plain(value) for name, value in plain.items() if name != "part"})
+        name, settings = plain["part"], {name: from_plain(value) for name, value in plain.items() if name != "part"}
+        part = _PARTS.get(name)
+        strange = [name] if part is None else sorted(set(settings) - {field.name for field in dataclasses.fields(part)})
+        if part is None or strange:
+            raise StoreError(
+                f"the run's settings have {', '.join(strange)}, which this version of hiprl does not know; the run can "
+                f"go on with the version that made it. This is hiprl {version('hiprl')}: install a newer one."
+            )
+        return part(**settings)
     return tuple(plain) if isinstance(plain, list) else plain
 
 

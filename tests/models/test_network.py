@@ -108,3 +108,17 @@ def test_what_a_network_gives_does_not_depend_on_its_neighbours():
     net = MLP.draw(p, (7,), q, activation="silu", key=jr.key(3))
     xs = jnp.asarray(np.random.default_rng(0).normal(size=(5, p)), jnp.float32)
     np.testing.assert_allclose(jax.vmap(net)(xs)[3], net(xs[3]), rtol=1e-5)
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1e-6, 1.0, 1e9])
+def test_no_unit_is_too_small_or_too_large(unit):
+    rng = np.random.default_rng(4)
+    x = rng.normal(3, 2, (23, p)) * unit
+    units = Scaler.of(jnp.asarray(x, jnp.float32), jnp.ones(23, bool))
+    np.testing.assert_allclose(units.std, x.std(0), rtol=1e-4)
+
+
+@pytest.mark.parametrize("value", [0.1, 1234.567, 1e-9])
+def test_what_rounding_leaves_of_a_constant_is_no_spread(value):
+    units = Scaler.of(jnp.full((30011, p), value, jnp.float32), jnp.ones(30011, bool))
+    np.testing.assert_array_equal(units.std, 1.0)

@@ -55,7 +55,7 @@ class Calibration(eqx.Module):
 
     def after_answer(self, g: Scalar, predicted: Gap) -> Calibration:
         """Counts one answer that was predicted before it came; a prediction without a σ_g says nothing."""
-        z = jnp.abs(g - predicted.mean) / jnp.maximum(predicted.sigma, 1e-12)
+        z = jnp.abs(g - predicted.mean) / predicted.sigma
         known = jnp.isfinite(z)
         z = jnp.where(known, self.z.at[self.count].set(z), self.z)
         return eqx.tree_at(lambda c: (c.z, c.count), self, (z, self.count + known))

@@ -16,6 +16,9 @@ from hiprl.types import Key
 Activation: TypeAlias = Literal["relu", "silu", "elu", "tanh"]
 
 
+CONSTANT = 1e-5  # a spread below this share of the values is what rounding leaves of a constant
+
+
 class Scaler(eqx.Module):
     """Maps a vector to zero mean and unit spread, and back."""
 
@@ -33,7 +36,7 @@ class Scaler(eqx.Module):
         mean = jnp.sum(jnp.where(mask[:, None], x, 0.0), axis=0) / count
         var = jnp.sum(jnp.where(mask[:, None], (x - mean[None]) ** 2, 0.0), axis=0) / count
         std = jnp.sqrt(var)
-        return cls(mean, jnp.where(std > 1e-6, std, 1.0))
+        return cls(mean, jnp.where(std > CONSTANT * jnp.abs(mean), std, 1.0))
 
     def down(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
         """To standard units."""

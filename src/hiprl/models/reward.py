@@ -154,6 +154,8 @@ def _posterior(
 ):
     """Mean, prior variance, root and leave-one-out errors for the candidate of greatest marginal likelihood."""
     n = jnp.maximum(jnp.sum(filled), 1)
+    square = jnp.sum(g**2) / n
+    least = jnp.where(square > 0, 1e-12 * square, 1.0)  # in the judge's unit, whatever that is
 
     def candidate(prior: Float[Array, " D"], noise: Float[Array, ""]):
         K = (Psi * prior[None]) @ Psi.T
@@ -161,7 +163,7 @@ def _posterior(
         K = K + jnp.diag(jnp.where(filled, noise * level, 1.0))
         L = jnp.linalg.cholesky(K)
         G_g = jax.scipy.linalg.cho_solve((L, True), g)
-        scale = jnp.maximum(g @ G_g / n, 1e-12)  # the overall variance, at its own optimum
+        scale = jnp.maximum(g @ G_g / n, least)  # the overall variance, at its own optimum
         log_det = 2 * jnp.sum(jnp.where(filled, jnp.log(jnp.diag(L)), 0.0))
         return -0.5 * (n * jnp.log(scale) + log_det), (L, G_g, scale)
 
