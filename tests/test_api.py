@@ -91,7 +91,7 @@ def test_a_run_whose_judge_failed_goes_on_with_another(tmp_path):
 
     with pytest.raises(JudgeError) as caught:
         hiprl.learn("linear", moody, config=TINY, store=store)
-    run_id = str(caught.value).split("hiprl resume ")[1].split("`")[0]
+    run_id = str(caught.value).split("The run is ")[1].rstrip(".")
     with pytest.raises(InputError) as caught:
         hiprl.resume(run_id, store=store)
     message = str(caught.value)

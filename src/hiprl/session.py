@@ -187,7 +187,7 @@ def asked(store: Store, run_id: str, k: int, run: Run, question: Question, answe
         try:
             g = checked(answer, question.tau, run.T.get(question.other), key=key)
         except JudgeError as e:
-            raise JudgeError(f"{e} Go on with `hiprl resume {run_id}`.") from e
+            raise JudgeError(f"{e} The run is {run_id}.") from e
         store.answer(run_id, k, g, "rule")
     return g
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hiprl.models.dynamics import DynamicsConfig, estimate_dynamics, new_dynamics, nll
+from hiprl.models.dynamics import DynamicsConfig, estimate_dynamics, new_dynamics, nll, one_cycle
 from tests.data.samples import clean, p, q
 from tests.models.worlds import NOISE, A, B, linear_set
 
@@ -114,3 +114,17 @@ def test_the_scalers_are_measured_and_not_trained(T, learned):
 def test_a_single_trajectory_is_enough_to_fit():
     state, report = fitted(linear_set(5, (3,), H=H, capacity=len(LENGTHS) + 2))
     assert np.isfinite(report.loss) and all(np.isfinite(x).all() for x in jax.tree.leaves(state.ensemble))
+
+
+def test_the_rate_rises_for_a_tenth_and_falls_to_nothing():
+    rates = np.array([one_cycle(0.3, jnp.asarray(200), jnp.asarray(now)) for now in range(201)])
+    assert rates[0] == pytest.approx(0.03) and rates[20] == rates.max() == pytest.approx(0.3)
+    assert (np.diff(rates[:21]) > 0).all() and (np.diff(rates[20:]) < 0).all()
+    assert rates[-1] == pytest.approx(0, abs=1e-6)
+
+
+def test_long_and_short_fits_are_one_program(T, learned):
+    before = estimate_dynamics._cache_size()
+    state, report = fitted(T, steps=CONFIG.warm_steps, before=learned[0])
+    assert int(report.steps) == CONFIG.warm_steps
+    assert estimate_dynamics._cache_size() == before

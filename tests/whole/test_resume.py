@@ -46,7 +46,7 @@ def stopped(request, store):
     run_id = start(store, world, SPEC)
     with pytest.raises(JudgeError) as caught:
         carry_on(store, run_id, world, Recording(fail_at=request.param))
-    assert f"hiprl resume {run_id}" in str(caught.value)
+    assert f"The run is {run_id}." in str(caught.value)
     return store, run_id, request.param
 
 

@@ -105,8 +105,7 @@ def follow(store: Store, run_id: str, world: World, answer: Answer, command: Tra
     except InputError:
         raise
     except Exception as error:
-        if command.store != DEFAULT_STORE or "hiprl resume" not in str(error):
-            error.add_note(f"What is finished is stored. {again}")
+        error.add_note(f"What is finished is stored. {again}")
         raise
     finally:
         world.close()

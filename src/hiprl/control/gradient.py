@@ -60,7 +60,7 @@ class GradientConfig:
     """Norm to which the gradient of the return, in units of a typical one, is cut."""
     from_start: float = 0.1
     """Share of imagined rollouts that begin where episodes begin, not at any seen state."""
-    trial_steps: int = 300
+    trial_steps: int = 1000
     """Length of the longer trial after each chunk."""
     trial_starts: int = 8
     """Trials in each member."""

@@ -18,7 +18,7 @@ from hiprl.models.ensemble import Ensemble, Member
 from hiprl.models.fit import FitReport, fit
 from hiprl.models.network import Activation, state_action_scaler, step_scaler
 from hiprl.models.rows import RowDraw
-from hiprl.types import Key, Scalar
+from hiprl.types import Count, Key, Scalar
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,11 +80,22 @@ def nll(member: Member, s: Float[Array, " p"], a: Float[Array, " q"], step: Floa
     return 0.5 * jnp.sum((step - mean) ** 2 / var + jnp.log(var))
 
 
-@partial(jax.jit, static_argnames=("config", "steps"))
+def one_cycle(peak: float, steps: Count, now: Count) -> Scalar:
+    """Learning rate at step `now` of `steps`: up by a cosine from a tenth of the peak in a tenth of the time, then down.
+
+    `steps` may be traced, so that short and long fits are one program. Source: Smith and Topin (2018).
+    """
+    share = now / steps
+    up, down = jnp.clip(share / 0.1, 0.0, 1.0), jnp.clip((share - 0.1) / 0.9, 0.0, 1.0)
+    rising = 0.1 + 0.9 * 0.5 * (1 - jnp.cos(jnp.pi * up))
+    return peak * jnp.where(share < 0.1, rising, 0.5 * (1 + jnp.cos(jnp.pi * down)))
+
+
+@partial(jax.jit, static_argnames=("config",))
 def estimate_dynamics(
-    T: Trajectories, state: DynamicsState, config: DynamicsConfig, *, steps: int, key: Key
+    T: Trajectories, state: DynamicsState, config: DynamicsConfig, *, steps: Count | int, key: Key
 ) -> tuple[DynamicsState, FitReport]:
-    """Fits the ensemble to T, from the weights it has, by at most `steps` gradient steps.
+    """Fits the ensemble to T, from the weights it has, by at most `steps` gradient steps: whole chunks of them.
 
     Source: HIP-RL Algorithm 1, EstDynamics; Appendix B.
     """
@@ -119,14 +130,15 @@ def estimate_dynamics(
         ones = jnp.ones(n)
         return jnp.mean(jax.vmap(member_loss, in_axes=(0, None, None))(nets, ones, judged))
 
-    rate = optax.cosine_onecycle_schedule(steps, config.learning_rate, pct_start=0.1, div_factor=10.0)
+    chunks = jnp.maximum(steps // config.chunk, 1)
+    rate = partial(one_cycle, config.learning_rate, chunks * config.chunk)
     nets, report = fit(
         net_of(stack),
         train_loss,
         held_out_loss,
         optax.adamw(rate, weight_decay=config.weight_decay),
-        chunk=min(config.chunk, steps),
-        max_chunks=max(steps // config.chunk, 1),
+        chunk=config.chunk,
+        max_chunks=chunks,
         patience=config.patience,
         key=fit_key,
     )

@@ -45,7 +45,7 @@ def fit(
     optimiser: optax.GradientTransformation,
     *,
     chunk: int,
-    max_chunks: int,
+    max_chunks: int | Count,
     patience: int,
     key: Key,
 ) -> tuple[Params, FitReport]:

@@ -202,15 +202,12 @@ def rollout(axes: Axes, run: Record) -> None:
         return
     for h, colour in zip(shown, (BLUES * len(shown))[: len(shown)], strict=True):
         error = run.series(h, within="rollout_errors")
-        axes.plot(run.k, error, color=colour, linewidth=1.6, marker="o", markersize=2.5)
-        if len(known := np.flatnonzero(np.isfinite(error) & (error > 0))):
-            at = (run.k[known[-1]], error[known[-1]])
-            beside = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
-            axes.annotate(f"h = {h}", at, **beside, fontsize=8, color=colour)
+        axes.plot(run.k, error, color=colour, linewidth=1.6, marker="o", markersize=2.5, label=f"h = {h}")
     all_errors = np.concatenate([run.series(h, within="rollout_errors") for h in shown])
     all_errors = all_errors[np.isfinite(all_errors) & (all_errors > 0)]
     if len(all_errors):
         logarithmic(axes, all_errors.min() / 1.5, all_errors.max() * 1.5)
+    legend(axes)
 
 
 OVERVIEW: tuple[Panel, ...] = (learning, imagination, preference, transition, rollout, coverage)

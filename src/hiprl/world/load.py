@@ -73,7 +73,7 @@ def attribute_from(path: str, *, what: str) -> Callable[..., Any]:
         found = getattr(found, part)
     if not callable(found):
         raise InputError(
-            f"got {path!r}, which is a {type(found).__name__} that cannot be called; {what} needs a "
+            f"got {path!r}, a value of type {type(found).__name__} that cannot be called; {what} needs a "
             "function. Define a function that returns it, and name that one."
         )
     return found
