@@ -99,7 +99,7 @@ def follow(state):
 
 
 @pytest.mark.slow
-def test_a_linear_system_is_driven_within_a_tenth_of_its_optimum():
+def test_a_linear_system_is_driven_within_three_percent_of_its_optimum():
     config = replace(CONFIG, gamma=0.99, chunks=4, steps=16, updates=400, value_rate=3e-3, entropy=1e-6)
 
     @jax.jit
@@ -110,7 +110,7 @@ def test_a_linear_system_is_driven_within_a_tenth_of_its_optimum():
     task, state, _ = linear_search(longer, state=state, seed=3, unit=0.02)
     # the same episodes for both: what is left is the policy's own regret
     regret = worth(task, task.optimal_actor(), 64) - worth(task, follow(state), 64)
-    assert regret < 0.1 * abs(task.optimal_return())
+    assert regret < 0.03 * abs(task.optimal_return())
     assert task.expected_return(np.zeros((q, p))) < 2 * task.optimal_return()
 
 

@@ -1,9 +1,9 @@
 """Policy search by back-propagation through the model: short imagined rollouts, ended by a learned value.
 
 One update imagines a batch of rollouts of a few steps from states that were seen, in the hallucinated model, and
-moves the policy up the gradient of their TD(λ) return; the value follows by regression to the same returns. Updates
-come in chunks. After each chunk the policy is tried for longer in every member of the belief, from where episodes
-begin, and the iterate whose worst member is best is the one that is kept.
+moves the policy up the gradient of its TD(λ) return; the value follows by regression to the returns of all steps.
+Updates come in chunks. After each chunk the policy is tried for longer in every member of the belief, from where
+episodes begin, and the iterate whose worst member is best is the one that is kept.
 Source: value gradients through a model (SVG, Heess et al. 2015; Dreamer, Hafner et al. 2020), eq. (6) of HIP-RL.
 """
 
@@ -145,9 +145,11 @@ def gradient_search(
         shape = (M, config.rollouts, config.steps)
         draws = jr.normal(act_key, (*shape, policy.size)), jr.normal(f_key, (*shape, s_0.shape[-1]))
 
+        # Of the first state alone: the later ones are the policy's own doing. The sum over all of them, as Dreamer has
+        # it, pays for reaching good states once for each step before, and makes actions up to twice too strong.
         def policy_loss(policy: SquashedPolicy):
             s, returns, alive = over_worlds(worlds, policy, target, s_0, draws)
-            return -jnp.sum(returns * alive) / (jnp.sum(alive) * scale), (s, returns, alive)
+            return -jnp.mean(returns[..., 0]) / scale, (s, returns, alive)
 
         gradient, (s, returns, alive) = jax.grad(policy_loss, has_aux=True)(policy)
         policy, policy_state = descend(policy_opt, policy, frozen_inputs(gradient), policy_state)

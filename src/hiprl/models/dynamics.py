@@ -81,7 +81,7 @@ def nll(member: Member, s: Float[Array, " p"], a: Float[Array, " q"], step: Floa
 
 
 def one_cycle(peak: float, steps: Count, now: Count) -> Scalar:
-    """Learning rate at step `now` of `steps`: up by a cosine from a tenth of the peak in a tenth of the time, then down.
+    """Learning rate at step `now` of `steps`: up from a tenth of the peak in a tenth of the time, then down; cosines.
 
     `steps` may be traced, so that short and long fits are one program. Source: Smith and Topin (2018).
     """
