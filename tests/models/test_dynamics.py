@@ -125,6 +125,6 @@ def test_the_rate_rises_for_a_tenth_and_falls_to_nothing():
 
 def test_long_and_short_fits_are_one_program(T, learned):
     before = estimate_dynamics._cache_size()
-    state, report = fitted(T, steps=CONFIG.warm_steps, before=learned[0])
+    _, report = fitted(T, steps=CONFIG.warm_steps, before=learned[0])
     assert int(report.steps) == CONFIG.warm_steps
     assert estimate_dynamics._cache_size() == before

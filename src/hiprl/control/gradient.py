@@ -50,7 +50,7 @@ class GradientConfig:
     """Updates of the value for each of the policy."""
     gamma: float = 0.99
     """Discount a step."""
-    lambda_: float = 0.95
+    lambda_: float = 1.0
     """TD(λ): 0 trusts the value after one step, 1 the whole imagined rollout."""
     entropy: float = 1e-3
     """Weight of the policy's entropy, in units of a typical reward."""

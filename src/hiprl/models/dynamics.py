@@ -131,7 +131,7 @@ def estimate_dynamics(
         return jnp.mean(jax.vmap(member_loss, in_axes=(0, None, None))(nets, ones, judged))
 
     chunks = jnp.maximum(steps // config.chunk, 1)
-    rate = partial(one_cycle, config.learning_rate, chunks * config.chunk)
+    rate = lambda now: one_cycle(config.learning_rate, chunks * config.chunk, jnp.asarray(now))
     nets, report = fit(
         net_of(stack),
         train_loss,
