@@ -8,7 +8,7 @@ import hiprl
 from tests.whole.tasks import TINY, Sledge
 
 # as tiny, but with steps large enough to get somewhere
-EAGER = replace(TINY, search=replace(TINY.search, updates=100, rollouts=8, policy_rate=1e-2, value_rate=1e-2))
+EAGER = replace(TINY, search=replace(TINY.search, updates=300, rollouts=8, policy_rate=1e-2, value_rate=1e-2))
 
 
 def to_the_right(tau, other):
