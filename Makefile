@@ -23,7 +23,7 @@ help:
 demo: .venv/.installed
 	@mkdir -p runs
 	$(DEMO)
-	@echo "Next: $(BIN)/hiprl train HalfCheetah-v5   (learns to run from 30 comparisons; about ten minutes)"
+	@echo "Next: $(BIN)/hiprl train HalfCheetah-v5   (learns to run from 30 comparisons; six to ten minutes)"
 
 test: .venv/.installed-dev
 	$(BIN)/python -m pytest -m "not slow"
