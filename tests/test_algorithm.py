@@ -7,7 +7,7 @@ import jax.random as jr
 import numpy as np
 import pytest
 
-from hiprl.algorithm import begin, best_actor, episode, learn, propose, restart, scored
+from hiprl.algorithm import begin, best_actor, confirmed, episode, learn, propose, restart, scored
 from hiprl.control.plan import Follow, Mpc, PlanConfig
 from hiprl.errors import FitDiverged
 from hiprl.feedback.judges import exact
@@ -158,6 +158,34 @@ def test_a_search_begins_at_the_best_or_at_the_newest_policy(runs):
     best = int(run.archive.best(run.reward.returns(run.T)))
     assert same(restart(run, TINY), run.archive.get(best))
     assert same(restart(run, replace(TINY, restart=False)), run.archive.get(TINY.comparisons))
+
+
+class Again(World):
+    """A world in which whatever is executed goes as one trajectory did."""
+
+    def __init__(self, world: World, tau):
+        self.name, self.p, self.q, self.H, self.tau = world.name, world.p, world.q, world.H, tau
+        self.terminates, self.ends = world.terminates, world.ends
+
+    def roll_out(self, actor, *, key):
+        return self.tau
+
+    def spec(self):
+        return None
+
+
+def test_a_policy_that_was_lucky_once_is_found_out(runs, world):
+    run = runs[0][-1]
+    returns = np.where(run.archive.filled, run.reward.returns(run.T), -np.inf)
+    worst, *_, second, best = np.argsort(returns)[-int(np.sum(run.archive.filled)) :]
+    bad = Again(world, run.T.get(int(worst)))
+    assert returns[best] + returns[worst] < 2 * returns[second]
+    chosen, steps = confirmed(run, bad, replace(TINY, confirmations=1), key=jr.key(0))
+    assert int(chosen) == second and int(steps) == 31
+    chosen, steps = confirmed(run, Again(world, run.T.get(int(best))), TINY, key=jr.key(0))
+    assert int(chosen) == best and int(steps) == 31 * TINY.confirmations
+    chosen, steps = confirmed(run, bad, replace(TINY, confirmations=0), key=jr.key(0))
+    assert int(chosen) == best and int(steps) == 0
 
 
 def test_a_run_that_plans_keeps_its_planner(runs, world):

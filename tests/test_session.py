@@ -8,7 +8,7 @@ import pytest
 from hiprl.control.imagined import SearchReport
 from hiprl.errors import FitDiverged, InputError, JudgeError, WorldError
 from hiprl.feedback.judges import exact, judge_from
-from hiprl.session import RunSpec, actor_of, carry_on, finite_or_none, spec_of, start
+from hiprl.session import RunSpec, carry_on, finite_or_none, learned_actor, spec_of, start
 from hiprl.store.store import open_store
 from hiprl.world.build import world_from
 from tests.whole.tasks import TINY, Blind
@@ -55,7 +55,7 @@ def test_the_summary_has_what_the_command_line_promises(finished):
         "store",
     }
     assert summary["run"] == run_id and summary["comparisons"] == TINY.comparisons and summary["eval_episodes"] == 3
-    assert summary["env_steps"] == 31 * (TINY.comparisons + 1)
+    assert summary["env_steps"] == 31 * (TINY.comparisons + 1 + TINY.confirmations)
 
 
 def test_each_episode_is_told_of_in_plain_numbers(finished):
@@ -86,7 +86,7 @@ def test_the_store_has_every_trajectory_question_and_answer(finished):
 def test_the_policy_comes_back_from_the_store(finished):
     store, run_id, *_ = finished
     world = world_from("linear")
-    one, other = actor_of(store, run_id, world), actor_of(store, run_id, world)
+    one, other = learned_actor(store, run_id, world), learned_actor(store, run_id, world)
     s = jnp.array([0.3, -0.2, 0.1])
     np.testing.assert_array_equal(one.policy.mode(s), other.policy.mode(s))
 
@@ -95,7 +95,7 @@ def test_before_its_first_episode_a_run_has_no_policy(store):
     world = world_from("linear")
     run_id = start(store, world, SPEC)
     with pytest.raises(InputError) as caught:
-        actor_of(store, run_id, world)
+        learned_actor(store, run_id, world)
     message = str(caught.value)
     assert "has not finished an episode" in message and "after the first" in message and "hiprl resume" in message
 
@@ -110,7 +110,7 @@ def test_a_run_that_is_not_finished_has_the_best_policy_so_far(store):
     run_id = start(store, world, SPEC)
     with pytest.raises(JudgeError):
         carry_on(store, run_id, world, four_times)
-    a = actor_of(store, run_id, world).policy.mode(jnp.array([0.3, -0.2, 0.1]))
+    a = learned_actor(store, run_id, world).policy.mode(jnp.array([0.3, -0.2, 0.1]))
     assert a.shape == (2,) and np.isfinite(a).all()
 
 

@@ -230,12 +230,32 @@ def scored(run: Run, question: Question, g: Scalar, config: Config) -> Scores:
     return Scores(calibration, errors, predicted, executed, overpromised)
 
 
-def best_actor(run: Run, world: World, config: Config) -> Actor:
-    """The policy to report and to keep: the one whose executed trajectory the newest r̂ ranks best.
+def confirmed(run: Run, world: World, config: Config, *, key: Key) -> tuple[Count, Count]:
+    """Which policy of the archive to report, and how many steps it took to be sure.
 
-    It is executed without exploration, and with planning only if the run planned.
+    A policy that was lucky in its one episode should not win: what r̂ ranks best is executed again, `confirmations`
+    times in all, and a policy's rank is the mean over its executions. No question is asked about them.
     """
-    state = run.archive.get(run.archive.best(run.reward.returns(run.T)))
+    total = jnp.where(run.archive.filled, run.reward.returns(run.T), -jnp.inf)
+    times = jnp.ones_like(total)
+    steps = jnp.zeros((), jnp.int32)
+    for again_key in jr.split(key, config.confirmations):
+        best = jnp.argmax(total / times)
+        tau = world.roll_out(actor_of(run, best, world, config), key=again_key)
+        executed = no_trajectories(world, config).add(tau)
+        total = total.at[best].add(run.reward.returns(executed)[0])
+        times, steps = times.at[best].add(1), steps + tau.length
+    return jnp.argmax(total / times).astype(jnp.int32), steps
+
+
+def best_actor(run: Run, world: World, config: Config) -> Actor:
+    """The policy whose executed trajectory the newest r̂ ranks best."""
+    return actor_of(run, run.archive.best(run.reward.returns(run.T)), world, config)
+
+
+def actor_of(run: Run, i: Count, world: World, config: Config) -> Actor:
+    """The policy behind trajectory `i`, executed without exploration, and with planning only if the run planned."""
+    state = run.archive.get(i)
     if config.plan.kind == "mpc":
         f_tilde, ends = hallucinated(run, config), ends_of(run, world)
         return planned(state, f_tilde, run.reward, ends, config.plan, q=world.q, gamma=config.search.gamma)

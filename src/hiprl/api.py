@@ -14,7 +14,7 @@ from jaxtyping import ArrayLike
 from hiprl.config import Config
 from hiprl.errors import InputError
 from hiprl.feedback.judges import Answer, Judge, judge_from
-from hiprl.session import Facts, RunSpec, Watch, actor_of, carry_on, refuse_finished, start
+from hiprl.session import Facts, RunSpec, Watch, carry_on, learned_actor, refuse_finished, start
 from hiprl.store.rows import RunRow
 from hiprl.store.store import Store, open_store
 from hiprl.types import Actor
@@ -110,7 +110,7 @@ def learn(
     with new_store(store) as opened:
         run_id = start(opened, world, spec)
         summary = carry_on(opened, run_id, world, answer, watch=watch)
-        return Learned(actor_of(opened, run_id, world), world, summary)
+        return Learned(learned_actor(opened, run_id, world), world, summary)
 
 
 def load(run: str, *, env: Any = None, store: str | Path = "runs/hiprl.db", terminates: Any = None) -> Learned:
@@ -125,7 +125,7 @@ def load(run: str, *, env: Any = None, store: str | Path = "runs/hiprl.db", term
     with open_store(store, create=False) as opened:
         row = opened.find_run(run)
         world = world_of(row, env=env, terminates=terminates)
-        return Learned(actor_of(opened, row.id, world), world, opened.final(row.id))
+        return Learned(learned_actor(opened, row.id, world), world, opened.final(row.id))
 
 
 def resume(
@@ -158,7 +158,7 @@ def resume(
         answer = judge_of(row, judge)
         world = world_of(row, env=env, terminates=terminates)
         summary = carry_on(opened, row.id, world, answer, watch=watch)
-        return Learned(actor_of(opened, row.id, world), world, summary)
+        return Learned(learned_actor(opened, row.id, world), world, summary)
 
 
 def new_store(where: str | Path) -> Store:

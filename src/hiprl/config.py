@@ -41,6 +41,8 @@ class Config:
     """In mode `bonus`: reward for a σ as large as a typical step, in units of a typical reward."""
     restart: bool = True
     """Begin each search at the executed policy that r̂ ranks best; False: at the newest one (the paper)."""
+    confirmations: int = 5
+    """Episodes after the last answer in which what r̂ ranks best is executed again, so that luck does not win."""
     dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
     """The model of the world."""
     reward: RewardConfig = field(default_factory=AdditiveConfig)
@@ -60,6 +62,11 @@ class Config:
             raise InputError(
                 f"got a warm-up of {self.warm_up} trajectories and {self.comparisons} comparisons; the warm-up needs "
                 "at least 2 trajectories and at most as many as there are comparisons. Change one of the two."
+            )
+        if self.confirmations < 0:
+            raise InputError(
+                f"got {self.confirmations} confirmations; the number of episodes in which the best policies are tried "
+                "again is 0 or more. Take 5."
             )
         if self.optimism not in OPTIMISM:
             raise InputError(
@@ -109,6 +116,7 @@ def paper(env: str) -> Config:
         babble="uniform",
         optimism="eta_policy",
         restart=False,
+        confirmations=0,
         dynamics=DynamicsConfig(
             hidden=(32, 32),
             activation="relu",

@@ -23,8 +23,10 @@ from hiprl.algorithm import (
     Question,
     Run,
     Scores,
+    actor_of,
     begin,
     best_actor,
+    confirmed,
     episode,
     no_trajectories,
     nothing_known,
@@ -48,6 +50,7 @@ Watch: TypeAlias = Callable[[Facts], None]
 
 HORIZONS = (1, 5, 20, 50)  # of the k-step error of the dynamics model
 EVALUATION = 1 << 30  # folded into the run's key for the final evaluation; no run has as many episodes
+CONFIRMATION = EVALUATION + 1  # and for the choice of the policy to evaluate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,8 +238,9 @@ def finite_or_none(x: Any) -> Any:
 
 
 def conclude(store: Store, run_id: str, run: Run, world: World, spec: RunSpec, *, key: Key) -> Facts:
-    """Evaluates the policy whose executed trajectory the newest r̂ ranks best, and closes the run."""
-    actor = best_actor(run, world, spec.config)
+    """Evaluates the policy whose executed trajectories the newest r̂ ranks best, and closes the run."""
+    best, more_steps = confirmed(run, world, spec.config, key=jr.fold_in(key, CONFIRMATION))
+    actor = actor_of(run, best, world, spec.config)
     taus = episodes(world, actor, spec.eval_episodes, key=jr.fold_in(key, EVALUATION))
     returns = true_returns(taus)
     known = bool(jnp.all(jnp.isfinite(returns)))
@@ -246,7 +250,7 @@ def conclude(store: Store, run_id: str, run: Run, world: World, spec: RunSpec, *
         "env": world.name,
         "seed": spec.seed,
         "comparisons": int(run.k),
-        "env_steps": facts[-1][1]["env_steps"],
+        "env_steps": facts[-1][1]["env_steps"] + int(more_steps),
         "return_mean": float(returns.mean()) if known else None,
         "return_std": float(returns.std()) if known else None,
         "eval_episodes": spec.eval_episodes,
@@ -257,7 +261,7 @@ def conclude(store: Store, run_id: str, run: Run, world: World, spec: RunSpec, *
     return summary
 
 
-def actor_of(store: Store, run_id: str, world: World) -> Actor:
+def learned_actor(store: Store, run_id: str, world: World) -> Actor:
     """The policy of a finished run, or the best one so far of a run that is not."""
     spec = spec_of(store, run_id)
     blank = shape_of_run(world, spec.config)
