@@ -156,8 +156,15 @@ def test_the_true_return_decides_nothing(runs, world):
 def test_a_search_begins_at_the_best_or_at_the_newest_policy(runs):
     run = upside_down(runs[0][-1])
     best = int(run.archive.best(run.reward.returns(run.T)))
-    assert same(restart(run, TINY), run.archive.get(best))
-    assert same(restart(run, replace(TINY, restart=False)), run.archive.get(TINY.comparisons))
+    state, setbacks = restart(run, TINY)
+    assert same(state, run.archive.get(best)) and int(setbacks) == TINY.comparisons - best > 0
+    state, setbacks = restart(run, replace(TINY, restart=False))
+    assert same(state, run.archive.get(TINY.comparisons)) and int(setbacks) == 0
+
+
+def test_the_first_search_has_no_setbacks(runs):
+    state, setbacks = restart(runs[0][TINY.warm_up - 1], TINY)
+    assert same(state, runs[0][0].archive.get(0)) and int(setbacks) == 0
 
 
 class Again(World):

@@ -150,7 +150,7 @@ def test_a_world_that_breaks_loses_nothing_that_was_learned(store):
 
 
 def test_a_search_that_diverges_is_said_to(store, monkeypatch):
-    diverged = lambda f_tilde, reward, ends, T, state, config, *, key: (state, SearchReport.nothing())
+    diverged = lambda f_tilde, reward, ends, T, state, config, **_: (state, SearchReport.nothing())
     monkeypatch.setattr("hiprl.algorithm.search", diverged)
     world = world_from("linear")
     run_id = start(store, world, SPEC)

@@ -131,14 +131,15 @@ def propose(run: Run, world: World, config: Config, *, key: Key) -> Question:
     """Acts for one episode and picks a past trajectory to compare it with."""
     search_key, world_key, pick_key = jr.split(key, 3)
     other = run.T.pick(key=pick_key)
-    state = restart(run, config)
+    state, setbacks = restart(run, config)
     if int(run.k) + 1 < config.warm_up:
         random = Uniform.draw(world.q, key=search_key) if config.babble == "varied" else Uniform(jnp.ones(()), world.q)
         tau = world.roll_out(random, key=world_key)
         return Question(tau, other, state, SearchReport.nothing(), searched=False)
     f_tilde = hallucinated(run, config)  # μ + βση, eq. (5)
     ends = ends_of(run, world)
-    state, report = search(f_tilde, run.reward, ends, run.T, state, config.search, key=search_key)  # eq. (6)
+    more = {"setbacks": setbacks, "key": search_key}
+    state, report = search(f_tilde, run.reward, ends, run.T, state, config.search, **more)  # eq. (6)
     acting = planned(state, f_tilde, run.reward, ends, config.plan, q=world.q, gamma=config.search.gamma)
     tau = world.roll_out(acting, key=world_key)  # plans (a, η), executes a
     return Question(tau, other, state, report, searched=True)
@@ -179,14 +180,17 @@ def episode(run: Run, world: World, config: Config, ask: Ask, *, key: Key) -> Ep
     return Episode(question, g, learn(run, question, g, world, config, key=learn_key))
 
 
-def restart(run: Run, config: Config) -> SearchState:
-    """Where the next search begins: at the executed policy that the newest r̂ ranks best, or at the newest one.
+def restart(run: Run, config: Config) -> tuple[SearchState, Count]:
+    """Where the next search begins, and how many searches from there went wrong.
 
-    A search that went wrong is one whose policy did worse in the world than an older one, by r̂ and never by the true
-    reward. To begin at the best of the archive is to notice it and to recover at once.
+    It begins at the executed policy that the newest r̂ ranks best, or at the newest one. A search that went wrong is
+    one whose policy did worse in the world than an older one, by r̂ and never by the true reward. To begin at the best
+    of the archive is to notice it and to recover at once; to search less far from there, to learn from it.
     """
+    if not config.restart:
+        return run.archive.get(run.T.last), jnp.zeros((), jnp.int32)
     best = run.archive.best(run.reward.returns(run.T))
-    return run.archive.get(best if config.restart else run.T.last)
+    return run.archive.get(best), jnp.where(run.archive.filled[best], run.T.last - best, 0)
 
 
 def hallucinated(run: Run, config: Config) -> Hallucinated:

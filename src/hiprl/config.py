@@ -123,6 +123,7 @@ def paper(env: str) -> Config:
             learning_rate=1e-3,
             weight_decay=0.0,
             bootstrap=False,
+            warm_steps=800,
             chunk=100,
             patience=1000,
         ),

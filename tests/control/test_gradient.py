@@ -29,6 +29,7 @@ CONFIG = GradientConfig(
     entropy=1e-4,
 )
 TWO = np.array([0.3, -0.5])
+NONE = jnp.asarray(0)
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +37,9 @@ def search():
     """One compiled search for all models, rewards and starts of the same shapes."""
 
     @jax.jit
-    def compiled(f_tilde, reward, unit, places, state, key):
-        return gradient_search(f_tilde, reward, unit, None, places, state, CONFIG, H=1000, key=key)
+    def compiled(f_tilde, reward, unit, places, state, key, setbacks=NONE):
+        settings = {"H": 1000, "setbacks": setbacks, "key": key}
+        return gradient_search(f_tilde, reward, unit, None, places, state, CONFIG, **settings)
 
     return compiled
 
@@ -104,7 +106,7 @@ def test_a_linear_system_is_driven_within_three_percent_of_its_optimum():
 
     @jax.jit
     def longer(f_tilde, reward, unit, places, state, key):
-        return gradient_search(f_tilde, reward, unit, None, places, state, config, H=1000, key=key)
+        return gradient_search(f_tilde, reward, unit, None, places, state, config, H=1000, setbacks=NONE, key=key)
 
     task, state, _ = linear_search(longer, unit=0.02)
     task, state, _ = linear_search(longer, state=state, seed=3, unit=0.02)
@@ -114,11 +116,9 @@ def test_a_linear_system_is_driven_within_three_percent_of_its_optimum():
     assert task.expected_return(np.zeros((q, p))) < 2 * task.optimal_return()
 
 
-def test_a_search_improves_on_where_it_began_and_says_so(search):
-    task, state, report = linear_search(search)
+def test_a_search_improves_on_where_it_began(search):
+    task, state, _ = linear_search(search)
     assert worth(task, follow(state)) > worth(task, follow(blank()))
-    _, _, again = linear_search(search, state=state, seed=3)
-    assert float(again.worst) > float(report.worst) - 0.1 * abs(float(report.worst))
 
 
 def test_the_imagined_return_is_that_of_a_plain_rollout(search):
@@ -151,6 +151,16 @@ def test_the_same_key_finds_the_same_policy(search):
     assert any((x != y).any() for x, y in zip(jax.tree.leaves(one), jax.tree.leaves(third), strict=True))
 
 
+def test_a_search_goes_less_far_from_where_others_went_wrong(search):
+    problem = known(), quadratic(R=np.eye(q), c=TWO), jnp.asarray(1.0), starts(), blank()
+    whole, half, quarter, none = (
+        modes(search(*problem, jr.key(2), jnp.asarray(setbacks))[0], starts().seen) for setbacks in (0, 1, 2, 40)
+    )
+    assert (whole != half).any()  # two chunks, then one, and never less
+    np.testing.assert_array_equal(half, quarter)
+    np.testing.assert_array_equal(half, none)
+
+
 def test_scalers_are_not_trained(search):
     state, _ = found(search, known(), quadratic(R=np.eye(q), c=TWO))
     np.testing.assert_array_equal(state.policy.inputs.mean, starts().scaler.mean)
@@ -171,7 +181,9 @@ def test_hope_makes_a_reward_out_of_reach_look_near(mode):
 
     @jax.jit
     def run(f_tilde, state):
-        return gradient_search(f_tilde, reward, jnp.asarray(1.0), None, starts(), state, CONFIG, H=1000, key=jr.key(2))
+        return gradient_search(
+            f_tilde, reward, jnp.asarray(1.0), None, starts(), state, CONFIG, H=1000, setbacks=NONE, key=jr.key(2)
+        )
 
     values = {}
     for name in ("greedy", mode):

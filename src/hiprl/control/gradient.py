@@ -23,7 +23,7 @@ from hiprl.control.policy import SquashedPolicy, Value
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.fit import descend, descent
 from hiprl.models.network import Activation, Scaler
-from hiprl.types import Key, Reward, Scalar, State, stacked_size
+from hiprl.types import Count, Key, Reward, Scalar, State, stacked_size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +34,8 @@ class GradientConfig:
     """Units of the hidden layers of policy and value."""
     activation: Activation = "elu"
     """Between layers of policy and value."""
-    chunks: int = 6
-    """Looks at the policy in every member during one search."""
+    chunks: int = 8
+    """Looks at the policy in every member during one search, at most."""
     updates: int = 100
     """Policy updates between two looks."""
     rollouts: int = 25
@@ -48,7 +48,7 @@ class GradientConfig:
     """Learning rate of the value (Adam)."""
     value_updates: int = 4
     """Updates of the value for each of the policy."""
-    gamma: float = 0.99
+    gamma: float = 0.995
     """Discount a step."""
     lambda_: float = 1.0
     """TD(λ): 0 trusts the value after one step, 1 the whole imagined rollout."""
@@ -85,6 +85,7 @@ def gradient_search(
     config: GradientConfig,
     *,
     H: int,
+    setbacks: Count,
     key: Key,
 ) -> tuple[SearchState, SearchReport]:
     """The policy, and its η, that is best in the hallucinated model, eq. (6); starts from `state`.
@@ -97,6 +98,7 @@ def gradient_search(
         starts: where rollouts begin.
         state: policy and value of the search before.
         H: most steps in an episode; a trial lasts no longer.
+        setbacks: searches from `state` that went wrong in the world; for each this one is half as long.
     """
     scale = unit / (1 - config.gamma)
     policy, value = state.policy.rescaled(starts.scaler), state.value.rescaled(starts.scaler, scale)
@@ -176,9 +178,9 @@ def gradient_search(
 
     everywhere = f_tilde.in_each_member()
 
-    def chunk(carry, chunk_key: Key):
-        learner, best, best_report = carry
-        update_key, trial_key = jr.split(chunk_key)
+    def chunk(_: Count, carry):
+        learner, best, best_report, key = carry
+        key, update_key, trial_key = jr.split(key, 3)
         learner, _ = jax.lax.scan(update, learner, jr.split(update_key, config.updates))
         policy, value = learner[:2]
         trial = {"steps": min(config.trial_steps, H), "n": config.trial_starts}
@@ -186,11 +188,13 @@ def gradient_search(
         better = report.finite & ~(report.worst <= best_report.worst)
         keep = lambda new, old: jnp.where(better, new, old)
         best = jax.tree.map(keep, SearchState(policy, value), best)
-        return (learner, best, jax.tree.map(keep, report, best_report)), report.worst
+        return learner, best, jax.tree.map(keep, report, best_report), key
 
     learner = (policy, value, value, descent(policy_opt, policy), descent(value_opt, value))
-    carry = (learner, SearchState(policy, value), SearchReport.nothing())
-    (_, best, report), _ = jax.lax.scan(chunk, carry, jr.split(key, config.chunks))
+    carry = (learner, SearchState(policy, value), SearchReport.nothing(), key)
+    # A policy near one that holds in the world is likelier to hold there: the model is at fault further away.
+    length = jnp.maximum(config.chunks >> jnp.minimum(setbacks, 30), 1)
+    _, best, report, _ = jax.lax.fori_loop(0, length, chunk, carry)
     return best, report
 
 

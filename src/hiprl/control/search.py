@@ -6,6 +6,7 @@ from functools import partial
 from typing import TypeAlias
 
 import jax
+import jax.numpy as jnp
 import jax.random as jr
 
 from hiprl.control.gradient import GradientConfig, gradient_search, new_gradient
@@ -16,7 +17,7 @@ from hiprl.hallucinated import Hallucinated
 from hiprl.models.network import state_scaler
 from hiprl.models.reward import EstimatedReward
 from hiprl.models.rows import RowDraw
-from hiprl.types import Key
+from hiprl.types import Count, Key
 
 SearchConfig: TypeAlias = GradientConfig | PPOConfig
 SEEN_STATES = 8192  # as many as one search draws its starts from
@@ -37,6 +38,7 @@ def search(
     state: SearchState,
     config: SearchConfig,
     *,
+    setbacks: Count | int = 0,
     key: Key,
 ) -> tuple[SearchState, SearchReport]:
     """The policy, and its η, that is best in the hallucinated model: one compiled program.
@@ -48,6 +50,7 @@ def search(
         T: trajectories whose states imagined rollouts start from.
         state: where to start: the policy and value of an earlier search.
         config: the method and its settings.
+        setbacks: earlier searches from `state` whose policy did worse in the world than that of `state`.
     """
     start_key, search_key = jr.split(key)
     rows = T.transitions()
@@ -55,5 +58,6 @@ def search(
     starts = Starts(seen, T.first_states(), state_scaler(T))
     H = T.rows.actions.shape[1]
     if isinstance(config, GradientConfig):
-        return gradient_search(f_tilde, reward, reward.unit, ends, starts, state, config, H=H, key=search_key)
+        more = {"H": H, "setbacks": jnp.asarray(setbacks), "key": search_key}
+        return gradient_search(f_tilde, reward, reward.unit, ends, starts, state, config, **more)
     return ppo_search(f_tilde, reward, ends, starts, state, config, H=H, key=search_key)

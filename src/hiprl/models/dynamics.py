@@ -39,7 +39,7 @@ class DynamicsConfig:
     """Rows a member sees in one gradient step."""
     cold_steps: int = 2000
     """Most gradient steps of the first fit."""
-    warm_steps: int = 800
+    warm_steps: int = 1600
     """Most gradient steps of each later fit, which starts where the last one ended."""
     chunk: int = 100
     """Gradient steps between two looks at the held-out loss."""
