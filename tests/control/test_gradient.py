@@ -37,8 +37,8 @@ def search():
     """One compiled search for all models, rewards and starts of the same shapes."""
 
     @jax.jit
-    def compiled(f_tilde, reward, unit, places, state, key, setbacks=NONE):
-        settings = {"H": 1000, "setbacks": setbacks, "key": key}
+    def compiled(f_tilde, reward, unit, places, state, key):
+        settings = {"H": 1000, "setbacks": NONE, "key": key}
         return gradient_search(f_tilde, reward, unit, None, places, state, CONFIG, **settings)
 
     return compiled
@@ -151,10 +151,17 @@ def test_the_same_key_finds_the_same_policy(search):
     assert any((x != y).any() for x, y in zip(jax.tree.leaves(one), jax.tree.leaves(third), strict=True))
 
 
-def test_a_search_goes_less_far_from_where_others_went_wrong(search):
-    problem = known(), quadratic(R=np.eye(q), c=TWO), jnp.asarray(1.0), starts(), blank()
+def test_a_search_goes_less_far_from_where_others_went_wrong():
+    config = replace(CONFIG, updates=20, policy_rate=1e-3)
+    reward = quadratic(R=np.eye(q), c=TWO)
+
+    @jax.jit
+    def search(state, key, setbacks):
+        settings = {"H": 1000, "setbacks": setbacks, "key": key}
+        return gradient_search(known(), reward, jnp.asarray(1.0), None, starts(), state, config, **settings)
+
     whole, half, quarter, none = (
-        modes(search(*problem, jr.key(2), jnp.asarray(setbacks))[0], starts().seen) for setbacks in (0, 1, 2, 40)
+        modes(search(blank(), jr.key(2), jnp.asarray(setbacks))[0], starts().seen) for setbacks in (0, 1, 2, 40)
     )
     assert (whole != half).any()  # two chunks, then one, and never less
     np.testing.assert_array_equal(half, quarter)
