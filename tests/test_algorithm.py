@@ -7,13 +7,13 @@ import jax.random as jr
 import numpy as np
 import pytest
 
-from hiprl.algorithm import begin, best_actor, confirmed, episode, learn, propose, restart, scored
+from hiprl.algorithm import begin, best_actor, confirmed, episode, learn, number_of, propose, restart, scored
 from hiprl.control.plan import Follow, Mpc, PlanConfig
+from hiprl.data.answer import number
 from hiprl.errors import FitDiverged
-from hiprl.feedback.judges import exact
 from hiprl.world.build import world_from
 from hiprl.world.task import World
-from tests.whole.tasks import TINY
+from tests.whole.tasks import TINY, exactly
 
 
 class Spy(World):
@@ -37,7 +37,7 @@ def data(key):
 
 
 def ask(question, run, *, key):
-    return exact(question.tau, run.T.get(question.other), key=key)
+    return exactly(question, run, key=key)
 
 
 @pytest.fixture(scope="module")
@@ -104,8 +104,10 @@ def test_an_episode_is_cut_at_its_question(runs, world):
     propose_key, learn_key = jr.split(jr.key(1))
     question = propose(known[k], world, TINY, key=propose_key)
     assert same(question, propose(known[k], world, TINY, key=jr.split(jr.key(1))[0]))
-    assert int(question.other) <= k and question.tau.actions.shape == done[k].question.tau.actions.shape
-    after = learn(known[k], question, 2.5, world, TINY, key=learn_key)
+    new, older = question.clips.of
+    assert int(new) == k + 1 and int(older) <= k
+    assert question.tau.actions.shape == done[k].question.tau.actions.shape
+    after = learn(known[k], question, number(2.5), world, TINY, key=learn_key)
     assert int(after.k) == k + 1 and float(after.P.g[k]) == 2.5 and same(after.T.get(k + 1), question.tau)
 
 
@@ -117,8 +119,8 @@ def test_proposing_changes_nothing_that_is_known(runs, world):
 
 def test_another_answer_makes_another_reward_and_the_same_dynamics(runs, world):
     known, done = runs
-    one = learn(known[4], done[4].question, 3.0, world, TINY, key=jr.key(1))
-    other = learn(known[4], done[4].question, -40.0, world, TINY, key=jr.key(1))
+    one = learn(known[4], done[4].question, number(3.0), world, TINY, key=jr.key(1))
+    other = learn(known[4], done[4].question, number(-40.0), world, TINY, key=jr.key(1))
     assert same(one.dynamics, other.dynamics) and not same(one.reward, other.reward)
 
 
@@ -204,9 +206,9 @@ def test_a_run_that_plans_keeps_its_planner(runs, world):
 
 def test_an_episode_is_scored_by_the_models_that_did_not_know_it(runs):
     known, done = runs
-    question, g = done[4].question, jnp.asarray(done[4].g)
+    question, g = done[4].question, number_of(done[4].answer)
     scores = scored(known[4], question, g, TINY)
-    gap = known[4].reward.gap(question.tau, known[4].T.get(question.other))
+    gap = known[4].reward.gap(question.tau, known[4].T.get(question.clips.of[1]))
     assert float(scores.predicted.mean) == pytest.approx(float(gap.mean), rel=1e-3, abs=1e-3)
     z = abs(float(g) - float(gap.mean)) / float(gap.sigma)
     count = int(known[4].calibration.count)
@@ -216,7 +218,7 @@ def test_an_episode_is_scored_by_the_models_that_did_not_know_it(runs):
 
 def test_a_prediction_before_any_answer_does_not_count(runs):
     known, done = runs
-    after = scored(known[0], done[0].question, jnp.asarray(done[0].g), TINY).calibration
+    after = scored(known[0], done[0].question, number_of(done[0].answer), TINY).calibration
     assert int(after.count) == 0 and float(after.alpha) == 1
     assert float(known[-1].calibration.alpha) < 1e3
 
@@ -227,7 +229,7 @@ def promising(question, promised):
 
 def test_kappa_is_halved_when_imagination_promised_over_three_times_too_much(runs):
     known, done = runs
-    question, g = done[4].question, jnp.asarray(done[4].g)
+    question, g = done[4].question, number_of(done[4].answer)
     executed = float(scored(known[4], question, g, TINY).executed)
     before = float(known[4].calibration.kappa)
     kept = scored(known[4], promising(question, executed + 2.9 * abs(executed)), g, TINY)
@@ -241,7 +243,7 @@ def test_the_executed_return_is_over_as_many_steps_as_the_trial(runs):
     question = done[4].question
     s, a = (np.asarray(x)[: TINY.search.trial_steps] for x in (question.tau.states, question.tau.actions))
     r = jax.vmap(known[4].reward)(jnp.asarray(s), jnp.asarray(a))
-    executed = scored(known[4], question, jnp.asarray(done[4].g), TINY).executed
+    executed = scored(known[4], question, number_of(done[4].answer), TINY).executed
     assert float(executed) == pytest.approx(float(np.sum(r)), rel=1e-3)
 
 
@@ -267,4 +269,4 @@ def test_a_dynamics_model_that_diverges_is_told(runs, world):
     wild = replace(TINY, dynamics=replace(TINY.dynamics, learning_rate=1e30))
     run, question = known[TINY.warm_up], done[TINY.warm_up].question
     with pytest.raises(FitDiverged, match=r"smaller learning rate"):
-        learn(run, question, 1.0, world, wild, key=jr.key(0))
+        learn(run, question, number(1.0), world, wild, key=jr.key(0))

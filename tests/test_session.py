@@ -7,7 +7,7 @@ import pytest
 
 from hiprl.control.imagined import SearchReport
 from hiprl.errors import FitDiverged, InputError, JudgeError, WorldError
-from hiprl.feedback.judges import exact, judge_from
+from hiprl.feedback.judges import Judging, exact, judge_from
 from hiprl.session import RunSpec, carry_on, finite_or_none, learned_actor, spec_of, start
 from hiprl.store.store import open_store
 from hiprl.world.build import world_from
@@ -103,13 +103,13 @@ def test_before_its_first_episode_a_run_has_no_policy(store):
 def test_a_run_that_is_not_finished_has_the_best_policy_so_far(store):
     world, asked = world_from("linear"), []
 
-    def four_times(tau, other, *, key):
+    def four_times(clips, hand, *, key):
         asked.append(1)
-        return None if len(asked) > 4 else exact(tau, other, key=key)
+        return None if len(asked) > 4 else exact.answer(clips, hand, key=key)
 
     run_id = start(store, world, SPEC)
     with pytest.raises(JudgeError):
-        carry_on(store, run_id, world, four_times)
+        carry_on(store, run_id, world, Judging(answer=four_times))
     a = learned_actor(store, run_id, world).policy.mode(jnp.array([0.3, -0.2, 0.1]))
     assert a.shape == (2,) and np.isfinite(a).all()
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from hiprl.api import Learned, learn, load, resume
     from hiprl.config import Config, preset
+    from hiprl.data.answer import Answer
     from hiprl.data.trajectory import Trajectory
     from hiprl.errors import FitDiverged, HiprlError, InputError, JudgeError, StoreError, WorldError
     from hiprl.feedback.judges import Judge
@@ -26,6 +27,7 @@ _HOMES = {
     "resume": "hiprl.api",
     "Config": "hiprl.config",
     "preset": "hiprl.config",
+    "Answer": "hiprl.data.answer",
     "Trajectory": "hiprl.data.trajectory",
     "FitDiverged": "hiprl.errors",
     "HiprlError": "hiprl.errors",
@@ -39,6 +41,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "Answer",
     "Config",
     "FitDiverged",
     "HiprlError",

@@ -21,10 +21,12 @@ from hiprl.control.imagined import Ends, SearchReport, SearchState
 from hiprl.control.plan import Follow, planned
 from hiprl.control.policy import Uniform
 from hiprl.control.search import new_search, search
-from hiprl.data.preference import Preferences
+from hiprl.data.answer import Answer
+from hiprl.data.preference import Clip, Preferences
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import FitDiverged
+from hiprl.feedback.questions import pick_clips
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.calibration import Calibration, ModelErrors, model_errors
 from hiprl.models.dynamics import DynamicsState, estimate_dynamics, new_dynamics
@@ -54,11 +56,11 @@ class Run(eqx.Module):
 
 
 class Question(eqx.Module):
-    """Two trajectories to be compared: a new one, and one of T."""
+    """A new trajectory, and what of it and of T is to be compared."""
 
     tau: Trajectory
-    other: Count
-    """Which of T it is compared with."""
+    clips: Clip
+    """A stack: what is shown, in order. The new trajectory is the one after the last of T."""
     state: SearchState
     """The search whose policy was executed."""
     report: SearchReport
@@ -66,19 +68,25 @@ class Question(eqx.Module):
     searched: bool = eqx.field(static=True)
     """False in the warm-up, where the actions are random."""
 
+    @property
+    def shown(self) -> tuple[Clip, ...]:
+        """The clips one by one."""
+        of, start, length = self.clips.of, self.clips.start, self.clips.length
+        return tuple(Clip(of[i], start[i], length[i]) for i in range(of.shape[0]))
+
 
 @runtime_checkable
 class Ask(Protocol):
-    """The judge: gives g(τ, τ′) for the two trajectories of a question."""
+    """The judge: says g(τ, τ′) of the clips of a question, or what they can."""
 
-    def __call__(self, question: Question, run: Run, *, key: Key) -> float: ...
+    def __call__(self, question: Question, run: Run, *, key: Key) -> Answer: ...
 
 
 class Episode(NamedTuple):
     """What one turn of Algorithm 1's loop came to."""
 
     question: Question
-    g: float
+    answer: Answer
     run: Run
     """What is known after it."""
 
@@ -102,7 +110,7 @@ def nothing_known(T: Trajectories, config: Config, *, key: Key) -> Run:
     dynamics_key, search_key, ending_key, reward_key = jr.split(key, 4)
     p, q = T.rows.states.shape[-1], T.rows.actions.shape[-1]
     blank = new_search(T, q + config.eta_size(p), config.search, key=search_key)
-    P = Preferences.empty(config.comparisons)
+    P = Preferences.empty(config.comparisons, m=max(2, config.question.items))
     return Run(
         k=jnp.zeros((), jnp.int32),
         T=T,
@@ -128,24 +136,24 @@ def begin(world: World, config: Config, *, key: Key) -> Run:
 
 
 def propose(run: Run, world: World, config: Config, *, key: Key) -> Question:
-    """Acts for one episode and picks a past trajectory to compare it with."""
+    """Acts for one episode and picks what to compare."""
     search_key, world_key, pick_key = jr.split(key, 3)
-    other = run.T.pick(key=pick_key)
+    asked = partial(pick_clips, reward=run.reward, config=config.question, key=pick_key)  # τ′ ~ T, or the most telling
     state, setbacks = restart(run, config)
     if int(run.k) + 1 < config.warm_up:
         random = Uniform.draw(world.q, key=search_key) if config.babble == "varied" else Uniform(jnp.ones(()), world.q)
         tau = world.roll_out(random, key=world_key)
-        return Question(tau, other, state, SearchReport.nothing(), searched=False)
+        return Question(tau, asked(run.T.add(tau)), state, SearchReport.nothing(), searched=False)
     f_tilde = hallucinated(run, config)  # μ + βση, eq. (5)
     ends = ends_of(run, world)
     more = {"setbacks": setbacks, "key": search_key}
     state, report = search(f_tilde, run.reward, ends, run.T, state, config.search, **more)  # eq. (6)
     acting = planned(state, f_tilde, run.reward, ends, config.plan, q=world.q, gamma=config.search.gamma)
     tau = world.roll_out(acting, key=world_key)  # plans (a, η), executes a
-    return Question(tau, other, state, report, searched=True)
+    return Question(tau, asked(run.T.add(tau)), state, report, searched=True)
 
 
-def learn(run: Run, question: Question, g: float, world: World, config: Config, *, key: Key) -> Run:
+def learn(run: Run, question: Question, answer: Answer, world: World, config: Config, *, key: Key) -> Run:
     """Takes the answer in and refits the models.
 
     Raises:
@@ -153,8 +161,8 @@ def learn(run: Run, question: Question, g: float, world: World, config: Config, 
     """
     dynamics_key, ending_key = jr.split(key)
     T = run.T.add(question.tau)
-    P = run.P.add(jnp.asarray(g), T.last, question.other)
-    calibration = scored(run, question, jnp.asarray(g), config).calibration
+    P = run.P.answered(answer, question.shown, at_hand=T.count)
+    calibration = scored(run, question, number_of(answer), config).calibration
     reward = estimate_reward(P, T, run.reward, config.reward)  # eq. (7)
     dynamics, ending = run.dynamics, run.ending
     if int(run.k) + 2 >= config.warm_up:  # the next episode will search
@@ -176,8 +184,8 @@ def episode(run: Run, world: World, config: Config, ask: Ask, *, key: Key) -> Ep
     """Episode k. `key` is the run's own: a stopped run goes on with the same draws."""
     propose_key, ask_key, learn_key = jr.split(jr.fold_in(key, run.k), 3)
     question = propose(run, world, config, key=propose_key)
-    g = ask(question, run, key=ask_key)
-    return Episode(question, g, learn(run, question, g, world, config, key=learn_key))
+    answer = ask(question, run, key=ask_key)
+    return Episode(question, answer, learn(run, question, answer, world, config, key=learn_key))
 
 
 def restart(run: Run, config: Config) -> tuple[SearchState, Count]:
@@ -208,6 +216,11 @@ def hallucinated(run: Run, config: Config) -> Hallucinated:
     )
 
 
+def number_of(answer: Answer) -> Scalar:
+    """The number that an answer is; NaN where it is of another form."""
+    return jnp.asarray(answer.value if answer.form == "number" else jnp.nan, jnp.float32)
+
+
 def ends_of(run: Run, world: World) -> Ends | None:
     """When imagined episodes terminate: by the known rule, by the learned one, or never."""
     if not world.ends:
@@ -218,7 +231,8 @@ def ends_of(run: Run, world: World) -> Ends | None:
 @partial(jax.jit, static_argnames=("config",))
 def scored(run: Run, question: Question, g: Scalar, config: Config) -> Scores:
     """The models as they were before, judged by an episode and an answer that they have not seen."""
-    guess = run.reward.gap(question.tau, run.T.get(question.other))
+    T = run.T.add(question.tau)
+    guess = run.reward.gap(T.clip(question.shown[0]), T.clip(question.shown[-1]))
     nothing = jnp.asarray(jnp.nan)  # before the first answer not even the scale of an answer is known
     predicted = jax.tree.map(lambda x: jnp.where(run.P.count > 0, x, nothing), guess)
     errors = model_errors(run.dynamics.ensemble, question.tau)

@@ -11,9 +11,10 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import ArrayLike
 
-from hiprl.config import Config
+from hiprl.config import Config, asking
 from hiprl.errors import InputError
-from hiprl.feedback.judges import Answer, Judge, judge_from
+from hiprl.feedback.judges import Judge, Judging, judge_from
+from hiprl.feedback.questions import Pick
 from hiprl.session import Facts, RunSpec, Watch, carry_on, learned_actor, refuse_finished, start
 from hiprl.store.rows import RunRow
 from hiprl.store.store import Store, open_store
@@ -76,6 +77,8 @@ def learn(
     comparisons: int | None = None,
     seed: int = 0,
     config: Config | None = None,
+    clip: int | None = None,
+    ask: Pick | None = None,
     horizon: int | None = None,
     terminates: Any = None,
     store: str | Path = "runs/hiprl.db",
@@ -85,11 +88,14 @@ def learn(
 
     Args:
         env: a Gymnasium id, an environment, a function that makes one, `module:function`, or a World.
-        judge: `exact` or `noisy:STD` (by the environment's own reward), or a function of two trajectories that
-            says by how much the first is better.
+        judge: by the environment's own reward, `exact`, `noisy:STD`, `choice`, `graded`, `slider`, `ranking` or
+            `rating`; or a function of two trajectories that says by how much the first is better, as a number or as an
+            `Answer`.
         comparisons: answers asked for; 30 by default.
         seed: decides all draws.
         config: settings; the default ones if None.
+        clip: steps of the clips that are compared, 0 for whole trajectories; what suits the judge if None.
+        ask: `uniform` or `information`, how the clips are picked; what suits the judge if None.
         horizon: most steps in an episode, where the environment sets no limit.
         terminates: when an episode ends, if that is known: a function of (s, a, s′) in JAX.
         store: the file, or the database, that keeps the run.
@@ -104,12 +110,13 @@ def learn(
     if comparisons is not None:
         settings = replace(settings, comparisons=comparisons, warm_up=min(settings.warm_up, comparisons))
     world = world_from(env, horizon=horizon, terminates=terminates)
-    answer = judge_from(judge)
+    judging = judge_from(judge)
+    settings = asking(settings, judging, clip=clip, pick=ask)
     rule = None if terminates is None else named(terminates)
     spec = RunSpec(seed=seed, config=settings, judge=named(judge), terminates=rule)
     with new_store(store) as opened:
         run_id = start(opened, world, spec)
-        summary = carry_on(opened, run_id, world, answer, watch=watch)
+        summary = carry_on(opened, run_id, world, judging, watch=watch)
         return Learned(learned_actor(opened, run_id, world), world, summary)
 
 
@@ -155,9 +162,9 @@ def resume(
     with open_store(store, create=False) as opened:
         row = opened.find_run(run)
         refuse_finished(opened, row.id)
-        answer = judge_of(row, judge)
+        judging = judge_of(row, judge)
         world = world_of(row, env=env, terminates=terminates)
-        summary = carry_on(opened, row.id, world, answer, watch=watch)
+        summary = carry_on(opened, row.id, world, judging, watch=watch)
         return Learned(learned_actor(opened, row.id, world), world, summary)
 
 
@@ -184,7 +191,7 @@ def named(given: object) -> str:
     return given if isinstance(given, str) else CUSTOM
 
 
-def judge_of(row: RunRow, judge: str | Judge | None = None) -> Answer:
+def judge_of(row: RunRow, judge: str | Judge | None = None) -> Judging:
     """The judge of a run that goes on: the one that is passed in, or its own if that has a name."""
     if judge is None and row.spec["judge"] == CUSTOM:
         raise InputError(

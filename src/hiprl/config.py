@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias, get_args
 
 from hiprl.control.gradient import GradientConfig
@@ -10,6 +10,8 @@ from hiprl.control.plan import PlanConfig
 from hiprl.control.ppo import PPOConfig
 from hiprl.control.search import SearchConfig
 from hiprl.errors import InputError
+from hiprl.feedback.judges import Judging
+from hiprl.feedback.questions import Pick, QuestionConfig
 from hiprl.hallucinated import OPTIMISM, Optimism
 from hiprl.models.dynamics import DynamicsConfig
 from hiprl.models.estimate import RewardConfig
@@ -18,6 +20,8 @@ from hiprl.models.reward_network import NetworkConfig
 
 Preset: TypeAlias = Literal["default", "paper"]
 Babble: TypeAlias = Literal["varied", "uniform"]
+CLIP = 50
+"""Steps of a clip where a judge does not give numbers: 2 to 5 seconds in most simulators."""
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 
 
@@ -51,6 +55,8 @@ class Config:
     """The search for a policy in the model."""
     plan: PlanConfig = field(default_factory=PlanConfig)
     """What is executed, given a policy."""
+    question: QuestionConfig = field(default_factory=QuestionConfig)
+    """What the judge is asked."""
 
     def __post_init__(self) -> None:
         if self.comparisons < 2:
@@ -87,6 +93,30 @@ class Config:
     def eta_size(self, p: int) -> int:
         """How many entries of the policy's output are hallucinated control."""
         return p if self.optimism == "eta_policy" else 0
+
+
+def asking(config: Config, judging: Judging, *, clip: int | None = None, pick: Pick | None = None) -> Config:
+    """The settings with questions that this judge can answer.
+
+    Numbers are given for whole trajectories, any of which will do (the paper). Answers with less in them are asked of
+    clips, and of those clips that tell most: whole episodes picked at random do not get there.
+
+    Args:
+        config: the settings.
+        judging: who answers.
+        clip: steps of a clip; 0 for whole trajectories, None for what suits the judge.
+        pick: how clips are picked; None for what suits the judge.
+    """
+    telling = judging.form not in (None, "number")
+    levels = {"choice": 2, "level": judging.levels, "rating": judging.levels, "slider": 5}.get(str(judging.form))
+    asked = config.question
+    if judging.form is not None:
+        asked = replace(asked, items=judging.items, levels=levels)
+    if telling:
+        asked = replace(asked, clip=CLIP, pick="information")
+    if clip is not None:
+        asked = replace(asked, clip=clip or None)
+    return replace(config, question=asked if pick is None else replace(asked, pick=pick))
 
 
 PAPER_PENDULUM = PPOConfig()

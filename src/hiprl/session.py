@@ -30,15 +30,19 @@ from hiprl.algorithm import (
     episode,
     no_trajectories,
     nothing_known,
+    number_of,
     scored,
 )
 from hiprl.config import Config
+from hiprl.data.answer import Answer
+from hiprl.data.preference import WHOLE, Clip
 from hiprl.errors import FitDiverged, InputError, JudgeError
 from hiprl.evaluate import episodes, true_returns
-from hiprl.feedback.judges import Answer, checked
+from hiprl.feedback.judges import Judging, checked
 from hiprl.models.calibration import rollout_errors
 from hiprl.spec import from_plain, to_plain, versions
 from hiprl.store.arrays import pack, unpack
+from hiprl.store.rows import ClipRow
 from hiprl.store.store import Store
 from hiprl.types import Actor, Key
 from hiprl.world.task import World
@@ -108,7 +112,7 @@ def spec_of(store: Store, run_id: str) -> RunSpec:
     )
 
 
-def carry_on(store: Store, run_id: str, world: World, answer: Answer, *, watch: Watch = lambda facts: None) -> Facts:
+def carry_on(store: Store, run_id: str, world: World, judging: Judging, *, watch: Watch = lambda facts: None) -> Facts:
     """Does the episodes that a run still lacks, evaluates it, and gives its summary.
 
     Raises:
@@ -123,7 +127,7 @@ def carry_on(store: Store, run_id: str, world: World, answer: Answer, *, watch: 
         key = jr.key(spec.seed)
         run = latest(store, run_id, world, spec)
         while int(run.k) < spec.config.comparisons:
-            run = one_episode(store, run_id, run, world, spec.config, answer, watch, key=key)
+            run = one_episode(store, run_id, run, world, spec.config, judging, watch, key=key)
             lease.renew()
         return conclude(store, run_id, run, world, spec, key=key)
 
@@ -155,49 +159,58 @@ def shape_of_run(world: World, config: Config) -> Run:
 
 
 def one_episode(
-    store: Store, run_id: str, run: Run, world: World, config: Config, answer: Answer, watch: Watch, *, key: Key
+    store: Store, run_id: str, run: Run, world: World, config: Config, judging: Judging, watch: Watch, *, key: Key
 ) -> Run:
     """Episode k of Algorithm 1, with what it leaves in the store."""
     k = int(run.k) + 1
     times = [time.perf_counter()]
 
-    def ask(question: Question, run: Run, *, key: Key) -> float:
+    def ask(question: Question, run: Run, *, key: Key) -> Answer:
         times.append(time.perf_counter())
-        g = asked(store, run_id, k, run, question, answer, key=key)
+        answer = asked(store, run_id, k, run, question, judging, key=key)
         times.append(time.perf_counter())
-        return g
+        return answer
 
-    question, g, after = jax.block_until_ready(episode(run, world, config, ask, key=key))
+    question, answer, after = episode(run, world, config, ask, key=key)
+    jax.block_until_ready(after)
     times.append(time.perf_counter())
-    facts = facts_of(run, question, g, after, config)
+    facts = facts_of(run, question, answer, after, config)
     facts["seconds"] = dict(zip(("propose", "judge", "learn"), np.diff(times).tolist(), strict=True))
     store.finish_episode(run_id, k, facts, pack(after))
     watch(facts)
     return after
 
 
-def asked(store: Store, run_id: str, k: int, run: Run, question: Question, answer: Answer, *, key: Key) -> float:
+def asked(store: Store, run_id: str, k: int, run: Run, question: Question, judging: Judging, *, key: Key) -> Answer:
     """The answer to episode k's question, which is written down first: from the store if it is there, or the judge."""
     if question.searched and not question.report.finite:
         raise FitDiverged(
             f"the policy search of episode {k} gave numbers that are not finite; imagined returns must be finite. "
             "The run is stored up to the episode before: try a smaller learning rate, or another seed."
         )
-    new, other = int(run.T.count), int(question.other)
-    store.open_question(run_id, k, new, question.tau, "policy" if question.searched else "random", new, other)
-    g = store.answer_of(run_id, k)
-    if g is None:
+    T = run.T.add(question.tau)
+    rows = [clip_row(clip) for clip in question.shown]
+    store.open_question(run_id, k, int(T.last), question.tau, "policy" if question.searched else "random", rows)
+    answer = store.answer_of(run_id, k)
+    if answer is None:
         try:
-            g = checked(answer, question.tau, run.T.get(question.other), key=key)
+            answer = checked(judging, tuple(T.clip(clip) for clip in question.shown), T, key=key)
         except JudgeError as e:
             raise JudgeError(f"{e} The run is {run_id}.") from e
-        store.answer(run_id, k, g, "rule")
-    return g
+        store.answer(run_id, k, answer, "rule")
+    return answer
 
 
-def facts_of(run: Run, question: Question, g: float, after: Run, config: Config) -> Facts:
+def clip_row(clip: Clip) -> ClipRow:
+    """A clip as the store keeps it."""
+    length = int(clip.length)
+    return ClipRow(int(clip.of), int(clip.start), None if length >= WHOLE else length)
+
+
+def facts_of(run: Run, question: Question, answer: Answer, after: Run, config: Config) -> Facts:
     """What is told of an episode. True returns are for the reader; nothing that learns sees them."""
-    scores: Scores = scored(run, question, jnp.asarray(g), config)
+    g = number_of(answer)
+    scores: Scores = scored(run, question, g, config)
     returns = after.reward.returns(after.T)
     facts = {
         "k": int(after.k),
@@ -205,7 +218,8 @@ def facts_of(run: Run, question: Question, g: float, after: Run, config: Config)
         "env_steps": int(jnp.sum(jnp.where(after.T.filled, after.T.rows.length, 0))),
         "length": int(question.tau.length),
         "true_return": float(question.tau.true_return),
-        "g": g,
+        "answer": answer.plain(),
+        "g": float(g),
         "g_predicted": float(scores.predicted.mean),
         "sigma_g": float(scores.predicted.sigma),
         "alpha": float(after.calibration.alpha),

@@ -13,13 +13,23 @@ from hiprl.control.gradient import GradientConfig
 from hiprl.control.plan import PlanConfig
 from hiprl.control.ppo import PPOConfig
 from hiprl.errors import StoreError
+from hiprl.feedback.questions import QuestionConfig
 from hiprl.models.dynamics import DynamicsConfig
 from hiprl.models.reward import AdditiveConfig
 from hiprl.models.reward_network import NetworkConfig
 
 _PARTS = {
     part.__name__: part
-    for part in (Config, GradientConfig, PPOConfig, PlanConfig, DynamicsConfig, AdditiveConfig, NetworkConfig)
+    for part in (
+        Config,
+        GradientConfig,
+        PPOConfig,
+        PlanConfig,
+        QuestionConfig,
+        DynamicsConfig,
+        AdditiveConfig,
+        NetworkConfig,
+    )
 }
 Part = TypeVar("Part")
 

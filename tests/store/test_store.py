@@ -15,9 +15,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
+from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, Answer, choice, level, ranking, rating, slider
+from hiprl.data.answer import number as a_number
 from hiprl.data.trajectory import trajectory_from
 from hiprl.errors import InputError, StoreError
-from hiprl.store.rows import TrajectoryRow
+from hiprl.store.rows import ClipRow, TrajectoryRow
 from hiprl.store.store import Store, open_store
 from tests.store.writer import checkpoint, trajectory
 
@@ -27,6 +29,31 @@ FIXTURE_IS_SHARED = settings(suppress_health_check=[HealthCheck.function_scoped_
 def with_two_trajectories(store: Store, run_id: str) -> None:
     for number in range(2):
         store.add_trajectory(run_id, number, trajectory(number), "random")
+
+
+def pair(first: int, second: int) -> list[ClipRow]:
+    """Two whole trajectories."""
+    return [ClipRow(first), ClipRow(second)]
+
+
+def answers_about(n: int) -> st.SearchStrategy[Answer]:
+    """Every answer that fits a question about so many clips."""
+    levels = st.integers(2, 7).flatmap(lambda levels: st.tuples(st.integers(0, levels - 1), st.just(levels)))
+    centred = levels.map(lambda drawn: (drawn[0] - (drawn[1] - 1) / 2, drawn[1]))
+    if n == 1:
+        return centred.map(lambda drawn: rating(*drawn)) | st.just(CANNOT_TELL)
+    order = st.permutations(range(n)).map(lambda drawn: ranking(tuple(drawn))) | st.just(CANNOT_TELL)
+    if n > 2:
+        return order
+    return (
+        order
+        | st.floats(allow_nan=False, allow_infinity=False).map(a_number)
+        | st.integers(-(2**60), 2**60).map(a_number)
+        | st.booleans().map(choice)
+        | st.floats(-1, 1).map(slider)
+        | centred.map(lambda drawn: level(*drawn))
+        | st.just(EQUALLY_GOOD)
+    )
 
 
 def nudged(row: TrajectoryRow, t: int) -> TrajectoryRow:
@@ -84,7 +111,7 @@ def test_an_unknown_run_is_refused_with_near_ids(store: Store, run_id: str):
         store.find_run,
         store.lease,
         lambda run: store.add_trajectory(run, 0, trajectory(0), "random"),
-        lambda run: store.ask(run, 1, 0, 1),
+        lambda run: store.ask(run, 1, pair(0, 1)),
         lambda run: store.finish_episode(run, 1, {}, b""),
         lambda run: store.finish(run, {}, b""),
     ]
@@ -185,43 +212,120 @@ def test_a_trajectory_that_differs_in_one_bit_stops_the_run(store: Store, run_id
 
 def test_asking_again_gives_the_same_question(store: Store, run_id: str):
     with_two_trajectories(store, run_id)
-    first = store.open_question(run_id, 1, 2, trajectory(2), "policy", 2, 0)
-    assert store.open_question(run_id, 1, 2, trajectory(2), "policy", 2, 0) == first
-    assert store.ask(run_id, 1, 2, 0) == first
-    assert store.ask(run_id, 2, 2, 1) != first
-    with pytest.raises(StoreError, match=r"bit for bit.*episode 1: it compares \(2, 0\) and \(0, 2\)"):
-        store.ask(run_id, 1, 0, 2)
+    first = store.open_question(run_id, 1, 2, trajectory(2), "policy", pair(2, 0))
+    assert store.open_question(run_id, 1, 2, trajectory(2), "policy", pair(2, 0)) == first
+    assert store.ask(run_id, 1, pair(2, 0)) == first
+    assert store.ask(run_id, 2, pair(2, 1)) != first
+    with pytest.raises(StoreError, match=r"bit for bit.*episode 1: it is about \(2, 0\) and \(0, 2\)"):
+        store.ask(run_id, 1, pair(0, 2))
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        ([ClipRow(1, 2, 3), ClipRow(0, 4)], r"\(1\[2:5\], 0\[3:\]\) and \(1\[2:5\], 0\[4:\]\)"),
+        ([ClipRow(1, 2), ClipRow(0, 3)], r"\(1\[2:5\], 0\[3:\]\) and \(1\[2:\], 0\[3:\]\)"),
+        ([ClipRow(1, 2, 3)], r"\(1\[2:5\], 0\[3:\]\) and \(1\[2:5\]\)"),
+    ],
+)
+def test_asking_about_other_steps_under_the_same_k_stops_the_run(store: Store, run_id: str, other, words: str):
+    with_two_trajectories(store, run_id)
+    asked = store.ask(run_id, 1, [ClipRow(1, 2, 3), ClipRow(0, 3)])
+    assert store.ask(run_id, 1, [ClipRow(1, 2, 3), ClipRow(0, 3)]) == asked
+    with pytest.raises(StoreError, match=rf"bit for bit.*episode 1: it is about {words}"):
+        store.ask(run_id, 1, other)
+    assert [row.clips for row in store.questions(run_id)] == [(ClipRow(1, 2, 3), ClipRow(0, 3))]
+
+
+@FIXTURE_IS_SHARED
+@given(data=st.data(), n=st.integers(1, 8))
+def test_a_question_comes_back_with_its_clips_and_every_answer(store: Store, data: st.DataObject, n: int):
+    run_id = store.add_run("Ant-v5", 3, {}, {})
+    with_two_trajectories(store, run_id)
+    length = trajectory(0).length
+    some = st.builds(ClipRow, st.integers(0, 1), st.integers(0, length - 1), st.none() | st.integers(1, 99))
+    clips = tuple(data.draw(st.lists(some, min_size=n, max_size=n)))
+    given_answers = data.draw(st.lists(answers_about(n), max_size=3))
+    question_id = store.ask(run_id, 5, clips)
+    for answer in given_answers:
+        store.answer(run_id, 5, answer, "Ada")
+    (row,) = store.questions(run_id)
+    assert (row.id, row.run_id, row.k, row.clips) == (question_id, run_id, 5, clips)
+    assert (row.first, row.second) == (clips[0].of, clips[1 if n > 1 else 0].of)
+    assert [row.answer for row in store.answers(run_id)] == given_answers
+    assert row.answer == store.answer_of(run_id, 5) == (given_answers[-1] if given_answers else None)
+    for row, answer in zip(store.answers(run_id), given_answers, strict=True):
+        assert row.g == (answer.value if answer.form == "number" else None)
+
+
+def test_numbers_of_numpy_and_jax_make_the_same_clip(store: Store, run_id: str):
+    with_two_trajectories(store, run_id)
+    asked = store.ask(run_id, 1, [ClipRow(1, 3, 2), ClipRow(0)])
+    odd = ClipRow(1)
+    for name, value in {"of": np.int64(1), "start": np.int32(3), "length": jnp.array(2)}.items():
+        object.__setattr__(odd, name, value)  # past the type check of the tests, which users do not have
+    assert store.ask(run_id, 1, [odd, ClipRow(0)]) == asked
+    assert store.ask(run_id, 2, [odd]) != asked
+    assert store.questions(run_id)[1].clips == (ClipRow(1, 3, 2),)
+
+
+@pytest.mark.parametrize(
+    ("clips", "message"),
+    [
+        ([], r"got 0 clips .*; a question is about 1 to 8\. Name one or two"),
+        ([ClipRow(0)] * 9, r"got 9 clips .*; a question is about 1 to 8\. .* spread many"),
+        (
+            [ClipRow(0), ClipRow(5)],
+            r"got a clip of trajectory 5, .*; only what was executed can be asked about\. Count from 0",
+        ),
+        ([ClipRow(-1)], r"got a clip of trajectory -1, .* asked about\. Count from 0"),
+        ([ClipRow(1, 7)], r"starts at step 7 of trajectory 1, which has 7; a step from 0 to 6 is needed\. Start it"),
+        ([ClipRow(1), ClipRow(0, -1)], r"starts at step -1 of trajectory 0, which has 7; .* is needed\. Start it"),
+        ([ClipRow(1, 2, 0)], r"got a clip of 0 steps of trajectory 1; at least 1 is needed\. Take more, or None"),
+        ([ClipRow(1, 2, -3)], r"got a clip of -3 steps .* is needed\. Take more, or None"),
+    ],
+)
+def test_clips_that_cannot_be_shown_are_refused_and_nothing_is_kept(store: Store, run_id: str, clips, message: str):
+    with_two_trajectories(store, run_id)
+    another = store.add_run("Ant-v5", 3, {}, {})
+    store.add_trajectory(another, 5, trajectory(5), "policy")  # of another run: it does not count
+    with pytest.raises(InputError, match=message):
+        store.ask(run_id, 1, clips)
+    with pytest.raises(InputError, match=message):
+        store.open_question(run_id, 1, 2, trajectory(2), "policy", clips)
+    assert store.questions(run_id) == []
+    assert [row.number for row in store.trajectories(run_id)] == [0, 1]
+    store.ask(run_id, 1, pair(0, 1))
+    with pytest.raises(InputError, match=message):
+        store.ask(run_id, 1, clips)
 
 
 def test_a_question_comes_with_its_trajectory_or_not_at_all(store: Store, run_id: str):
     with_two_trajectories(store, run_id)
-    store.ask(run_id, 1, 0, 1)
+    store.ask(run_id, 1, pair(0, 1))
     with pytest.raises(StoreError, match="bit for bit"):
-        store.open_question(run_id, 1, 2, trajectory(2), "policy", 2, 0)
+        store.open_question(run_id, 1, 2, trajectory(2), "policy", pair(2, 0))
     assert [row.number for row in store.trajectories(run_id)] == [0, 1]
-
-
-def test_a_question_about_a_trajectory_that_is_not_there_is_refused(store: Store, run_id: str):
-    with_two_trajectories(store, run_id)
-    with pytest.raises(StoreError, match=r"the store .* refused what was asked .* is needed\. If it is one"):
-        store.ask(run_id, 1, 0, 5)
-    assert store.questions(run_id) == []
 
 
 def test_the_newest_answer_counts_and_the_others_stay(store: Store, run_id: str):
     with_two_trajectories(store, run_id)
-    store.ask(run_id, 1, 0, 1)
-    store.ask(run_id, 2, 1, 0)
+    store.ask(run_id, 1, pair(0, 1))
+    store.ask(run_id, 2, pair(1, 0))
     assert store.answer_of(run_id, 1) is None
     assert [row.k for row in store.questions(run_id, unanswered=True)] == [1, 2]
     for g in (0.1, -1e300, float(jnp.float32(1) / 3)):
-        store.answer(run_id, 1, g, "Ada", swapped=g < 0)
-    assert store.answer_of(run_id, 1) == float(np.float32(1) / np.float32(3))
+        store.answer(run_id, 1, a_number(g), "Ada", swapped=g < 0)
+    assert store.answer_of(run_id, 1) == a_number(float(np.float32(1) / np.float32(3)))
     assert [(row.k, row.g, row.judge, row.swapped) for row in store.answers(run_id)][:2] == [
         (1, 0.1, "Ada", False),
         (1, -1e300, "Ada", True),
     ]
-    assert [row.g for row in store.questions(run_id)] == [store.answer_of(run_id, 1), None]
+    assert [row.answer for row in store.questions(run_id)] == [store.answer_of(run_id, 1), None]
+    assert [row.g for row in store.questions(run_id)] == [float(np.float32(1) / np.float32(3)), None]
+    assert [row.k for row in store.questions(unanswered=True)] == [2]
+    store.answer(run_id, 1, CANNOT_TELL, "Ada")  # takes the number back
+    assert [(row.answer, row.g) for row in store.questions(run_id)] == [(CANNOT_TELL, None), (None, None)]
     assert [row.k for row in store.questions(unanswered=True)] == [2]
 
 
@@ -229,42 +333,61 @@ def test_questions_of_all_runs_are_seen_together(store: Store):
     ids = [store.add_run("Ant-v5", seed, {}, {}) for seed in range(3)]
     for run_id in ids:
         with_two_trajectories(store, run_id)
-        store.ask(run_id, 1, 0, 1)
-    store.answer(ids[1], 1, 0, "Ada")
+        store.ask(run_id, 1, pair(0, 1))
+    store.answer(ids[1], 1, EQUALLY_GOOD, "Ada")
     assert [row.run_id for row in store.questions(unanswered=True)] == [ids[0], ids[2]]
     assert len(store.questions()) == 3
 
 
 @FIXTURE_IS_SHARED
 @given(g=st.floats(allow_nan=False, allow_infinity=False))
-def test_an_answer_comes_back_bit_for_bit_but_minus_zero_as_zero(store: Store, g: float):
+def test_a_number_comes_back_bit_for_bit_but_minus_zero_as_zero(store: Store, g: float):
     run_id = store.add_run("Ant-v5", 3, {}, {})
     with_two_trajectories(store, run_id)
-    store.ask(run_id, 1, 0, 1)
-    store.answer(run_id, 1, g, "Ada")
-    back = store.answer_of(run_id, 1)
-    assert back is not None
-    assert back == g
-    assert math.copysign(1, back) == (math.copysign(1, g) if g else 1)
+    store.ask(run_id, 1, pair(0, 1))
+    store.answer(run_id, 1, a_number(g), "Ada")
+    with store._database.reading() as connection:
+        of_run = "JOIN questions ON questions.id = question_id WHERE run_id"
+        column = connection.exec_driver_sql(f"SELECT g FROM answers {of_run} = '{run_id}'").scalar_one()
+    answer = store.answer_of(run_id, 1)
+    assert answer is not None
+    for back in (answer.value, store.questions(run_id)[0].g, store.answers(run_id)[0].g, column):
+        assert isinstance(back, float)
+        assert back == g
+        assert math.copysign(1, back) == (math.copysign(1, g) if g else 1)
 
 
-@pytest.mark.parametrize("g", [math.nan, math.inf, -math.inf])
-def test_an_answer_that_is_not_finite_is_refused(store: Store, run_id: str, g: float):
-    with pytest.raises(InputError, match=r"got the answer .*; a finite number is needed\. Answer 0"):
-        store.answer(run_id, 1, g, "Ada")
+@pytest.mark.parametrize("clips", [1, 2, 3, 8])
+def test_an_answer_about_more_or_fewer_clips_than_were_asked_about_is_refused(store: Store, run_id: str, clips: int):
+    with_two_trajectories(store, run_id)
+    store.ask(run_id, 4, [ClipRow(i % 2, i % 5) for i in range(clips)])
+    about = {
+        1: [rating(0.5, 2)],
+        2: [a_number(0.3), choice(True), level(-1, 3), slider(0.7), EQUALLY_GOOD, ranking((1, 0))],
+        3: [ranking((1, 2, 0))],
+    }
+    for n, given_answers in about.items():
+        for answer in given_answers if n != clips else []:
+            form = rf"got an answer of the form '{answer.form}', which is about {n} clips?, .* asks in episode 4"
+            with pytest.raises(InputError, match=form + rf" about {clips} clips?; .* as many\. Give .*cannot tell"):
+                store.answer(run_id, 4, answer, "Ada")
+    assert store.answers(run_id) == []
+    for answer in [*about.get(clips, []), CANNOT_TELL]:
+        store.answer(run_id, 4, answer, "Ada")
+        assert store.answer_of(run_id, 4) == answer
 
 
 def test_an_answer_to_nothing_is_refused(store: Store, run_id: str):
     for run in (run_id, "nobody-0000"):
         with pytest.raises(InputError, match=rf"run {run} asks nothing in episode 3; .* question\. Wait"):
-            store.answer(run, 3, 1.0, "Ada")
+            store.answer(run, 3, a_number(1.0), "Ada")
 
 
 def test_answers_from_many_threads_are_all_kept(store: Store, run_id: str):
     with_two_trajectories(store, run_id)
-    store.ask(run_id, 1, 0, 1)
+    store.ask(run_id, 1, pair(0, 1))
     with ThreadPoolExecutor(5) as pool:
-        list(pool.map(lambda g: store.answer(run_id, 1, float(g), "crowd"), range(23)))
+        list(pool.map(lambda g: store.answer(run_id, 1, a_number(g), "crowd"), range(23)))
     assert sorted(row.g for row in store.answers(run_id)) == list(range(23))
 
 

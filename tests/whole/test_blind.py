@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from hiprl.algorithm import begin, episode
-from hiprl.feedback.judges import exact
+from hiprl.data.answer import number
 from hiprl.world.build import world_from
-from tests.whole.tasks import TINY, Blind
+from tests.whole.tasks import TINY, Blind, exactly
 
 
 def run_with(world, ask):
@@ -23,14 +23,13 @@ def run_with(world, ask):
 @pytest.fixture(scope="module")
 def seeing():
     world = world_from("linear")
-    ask = lambda question, run, *, key: exact(question.tau, run.T.get(question.other), key=key)
-    return run_with(world, ask)
+    return run_with(world, exactly)
 
 
 @pytest.fixture(scope="module")
 def blind(seeing):
     """The same run where nothing is paid, with the answers that the seeing judge gave."""
-    answers = iter([done.g for done in seeing[0]])
+    answers = iter([done.answer for done in seeing[0]])
     return run_with(Blind(world_from("linear")), lambda question, run, *, key: next(answers))
 
 
@@ -47,11 +46,11 @@ def test_the_same_is_done_whether_or_not_it_is_paid(seeing, blind):
     for one, other in zip(seeing[0], blind[0], strict=True):
         np.testing.assert_array_equal(one.question.tau.actions, other.question.tau.actions)
         np.testing.assert_array_equal(one.question.tau.states, other.question.tau.states)
-        assert int(one.question.other) == int(other.question.other)
+        np.testing.assert_array_equal(one.question.clips.of, other.question.clips.of)
 
 
 def test_other_answers_make_other_policies(seeing):
-    turned = iter([-done.g for done in seeing[0]])
+    turned = iter([number(-done.answer.value) for done in seeing[0]])
     done, _ = run_with(world_from("linear"), lambda question, run, *, key: next(turned))
     last, other = done[-1].question.tau, seeing[0][-1].question.tau
     assert not jnp.array_equal(last.actions, other.actions)

@@ -1,7 +1,8 @@
 import pytest
 
+from hiprl.data.answer import number
 from hiprl.errors import InputError, JudgeError
-from hiprl.feedback.judges import exact, judge_from
+from hiprl.feedback.judges import Judging, exact, judge_from
 from hiprl.session import RunSpec, carry_on, start
 from hiprl.store.store import open_store
 from hiprl.world.build import world_from
@@ -16,9 +17,12 @@ class Recording:
     def __init__(self, fail_at=None):
         self.asked, self.fail_at = 0, fail_at
 
-    def __call__(self, tau, other, *, key):
+    def judging(self):
+        return Judging(answer=self.answer)
+
+    def answer(self, clips, hand, *, key):
         self.asked += 1
-        return None if self.asked == self.fail_at else exact(tau, other, key=key)
+        return None if self.asked == self.fail_at else exact.answer(clips, hand, key=key)
 
 
 def remains(store, run_id):
@@ -45,7 +49,7 @@ def stopped(request, store):
     world = world_from("linear")
     run_id = start(store, world, SPEC)
     with pytest.raises(JudgeError) as caught:
-        carry_on(store, run_id, world, Recording(fail_at=request.param))
+        carry_on(store, run_id, world, Recording(fail_at=request.param).judging())
     assert f"The run is {run_id}." in str(caught.value)
     return store, run_id, request.param
 
@@ -61,7 +65,7 @@ def test_a_judge_that_fails_leaves_its_question_open(stopped):
 def test_a_run_that_was_resumed_equals_one_that_was_not_bit_for_bit(stopped, uninterrupted):
     store, run_id, k = stopped
     judge = Recording()
-    carry_on(store, run_id, world_from("linear"), judge)
+    carry_on(store, run_id, world_from("linear"), judge.judging())
     assert judge.asked == TINY.comparisons - k + 1
     assert remains(store, run_id) == uninterrupted
 
@@ -69,9 +73,9 @@ def test_a_run_that_was_resumed_equals_one_that_was_not_bit_for_bit(stopped, uni
 def test_an_answer_that_came_in_the_meantime_is_taken_up(stopped, uninterrupted):
     store, run_id, k = stopped
     g = dict(uninterrupted[3])[k]
-    store.answer(run_id, k, g, "a person")
+    store.answer(run_id, k, number(g), "a person")
     judge = Recording()
-    carry_on(store, run_id, world_from("linear"), judge)
+    carry_on(store, run_id, world_from("linear"), judge.judging())
     assert judge.asked == TINY.comparisons - k  # nobody was asked again
     assert remains(store, run_id) == uninterrupted
 
@@ -79,9 +83,9 @@ def test_an_answer_that_came_in_the_meantime_is_taken_up(stopped, uninterrupted)
 def test_the_newest_of_several_answers_counts(stopped, uninterrupted):
     store, run_id, k = stopped
     g = dict(uninterrupted[3])[k]
-    store.answer(run_id, k, g + 100, "a person")
-    store.answer(run_id, k, g, "the same person, corrected")
-    carry_on(store, run_id, world_from("linear"), Recording())
+    store.answer(run_id, k, number(g + 100), "a person")
+    store.answer(run_id, k, number(g), "the same person, corrected")
+    carry_on(store, run_id, world_from("linear"), Recording().judging())
     policy, checkpoint, *_ = remains(store, run_id)
     assert (policy, checkpoint) == uninterrupted[:2]
 

@@ -15,6 +15,7 @@ Facts: TypeAlias = dict[str, Any]
 Preset: TypeAlias = Literal["default", "paper"]
 Optimism: TypeAlias = Literal["greedy", "thompson", "eta_policy", "eta_sign", "bonus"]
 Search: TypeAlias = Literal["gradient", "ppo"]
+Ask: TypeAlias = Literal["uniform", "information"]
 Plan: TypeAlias = Literal["none", "sample", "mpc"]
 
 DEFAULT_STORE = "runs/hiprl.db"
@@ -47,10 +48,21 @@ class Train:
     """Environment: a Gymnasium id such as Hopper-v5 or package:Id-v0;
     module:function for a function of yours that makes one;
     or a built-in one: linear, swing-up, swing-up:action_cost=0.1."""
-    judge: Annotated[str, arg(metavar="exact|noisy:STD")] = "exact"
+    judge: Annotated[str, arg(metavar="NAME[:SETTING=VALUE,...]")] = "exact"
     """Who compares, by the environment's own reward:
     exact gives the difference of the returns;
-    noisy:STD adds an error with this standard deviation, in the unit of the return."""
+    noisy:STD adds an error with this standard deviation, in the unit of the return;
+    choice says which is better (settings beta, mistake, skip, equal, myopic);
+    graded says it in levels (levels, mistake, noise); slider from -1 to 1 (noise);
+    ranking puts k clips in order (k, beta, mistake); rating judges one clip (levels, noise)."""
+    clip: Annotated[
+        int | None, arg(metavar="STEPS", help_behavior_hint="(default: 0 for exact and noisy, 50 for the others)")
+    ] = None
+    """Steps of the clips that are compared; 0 for whole trajectories."""
+    ask: Annotated[
+        Ask | None, arg(help_behavior_hint="(default: uniform for exact and noisy, information for the others)")
+    ] = None
+    """How clips are picked: the newest trajectory and any older ones, or what is expected to tell most."""
     comparisons: Annotated[int, arg(metavar="K")] = 30
     """Comparisons that the judge answers; one an episode."""
     seed: int = 0

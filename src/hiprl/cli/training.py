@@ -12,10 +12,10 @@ from hiprl.api import judge_of, new_store, world_of
 from hiprl.cli.commands import DEFAULT_STORE, Facts, Resume, Train
 from hiprl.cli.interrupt import stoppable
 from hiprl.cli.progress import duration, progress
-from hiprl.config import Config, paper, preset
+from hiprl.config import Config, asking, paper, preset
 from hiprl.control.gradient import GradientConfig
 from hiprl.errors import InputError
-from hiprl.feedback.judges import Answer, judge_from
+from hiprl.feedback.judges import Judging, judge_from
 from hiprl.report.tensorboard import EventFiles, event_folder
 from hiprl.session import RunSpec, carry_on, refuse_finished, spec_of, start
 from hiprl.store.store import Store, open_store
@@ -28,11 +28,11 @@ SEARCHES = {"gradient": lambda env: GradientConfig(), "ppo": lambda env: paper(e
 
 def train(command: Train) -> Facts:
     """Begins a run and does all of it; gives its summary."""
-    answer = judge_from(command.judge)
+    judging = judge_from(command.judge)
     world = world_from(command.env, horizon=command.horizon, terminates=command.terminates)
     spec = RunSpec(
         seed=command.seed,
-        config=config_of(command, world.name),
+        config=asking(config_of(command, world.name), judging, clip=command.clip, pick=command.ask),
         judge=command.judge,
         eval_episodes=command.eval_episodes,
         terminates=command.terminates,
@@ -40,7 +40,7 @@ def train(command: Train) -> Facts:
     if command.tensorboard is not None:
         event_folder(command.tensorboard)
     with new_store(command.store) as store:
-        return follow(store, start(store, world, spec), world, answer, command)
+        return follow(store, start(store, world, spec), world, judging, command)
 
 
 def resume(command: Resume) -> Facts:
@@ -48,11 +48,11 @@ def resume(command: Resume) -> Facts:
     with open_store(command.store, create=False) as store:
         row = store.find_run(command.run)
         refuse_finished(store, row.id)
-        answer = judge_of(row)
+        judging = judge_of(row)
         world = world_of(row, terminates=command.terminates)
         if command.tensorboard is not None:
             event_folder(command.tensorboard)
-        return follow(store, row.id, world, answer, command)
+        return follow(store, row.id, world, judging, command)
 
 
 def config_of(command: Train, env: str) -> Config:
@@ -71,7 +71,7 @@ def config_of(command: Train, env: str) -> Config:
     return replace(config, **changes)
 
 
-def follow(store: Store, run_id: str, world: World, answer: Answer, command: Train | Resume) -> Facts:
+def follow(store: Store, run_id: str, world: World, judging: Judging, command: Train | Resume) -> Facts:
     """Does what a run still lacks, tells how far it is, and at the end what came of it and what to type next."""
     console = Console(stderr=True)
     spec, past = spec_of(store, run_id), [facts for _, facts in store.episodes(run_id)]
@@ -98,7 +98,7 @@ def follow(store: Store, run_id: str, world: World, answer: Answer, command: Tra
 
     try:
         with stoppable(farewell), display:
-            summary = carry_on(store, run_id, world, answer, watch=watch)
+            summary = carry_on(store, run_id, world, judging, watch=watch)
     except KeyboardInterrupt:
         farewell()
         raise

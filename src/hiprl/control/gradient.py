@@ -179,7 +179,7 @@ def gradient_search(
 
     everywhere = f_tilde.in_each_member()
 
-    def chunk(_: Count, carry):
+    def chunk(_, carry):
         learner, best, best_report, key = carry
         key, update_key, trial_key = jr.split(key, 3)
         learner, _ = jax.lax.scan(update, learner, jr.split(update_key, config.updates))

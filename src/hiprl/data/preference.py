@@ -1,13 +1,24 @@
-"""A preference g(τ₁, τ₂; r) and the set P of those that were answered."""
+"""A preference g(τ₁, τ₂; r), the clips that a question shows, and the set P of answers."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from enum import IntEnum
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from hiprl.data.answer import Answer
 from hiprl.data.trajectory import Trajectory
 from hiprl.types import Count, Scalar
+
+WHOLE = 1 << 30
+"""Length of a clip that lasts as long as its trajectory does."""
+NOBODY = -1
+"""In place of a trajectory's number where an answer has fewer clips than there is room for."""
 
 
 def gap(tau: Trajectory, other: Trajectory) -> Scalar:
@@ -18,34 +29,141 @@ def gap(tau: Trajectory, other: Trajectory) -> Scalar:
     return tau.true_return - other.true_return
 
 
-class Preferences(eqx.Module):
-    """P: answers g with the indices in T of the two trajectories compared; g > 0 means the first is better."""
+class Clip(eqx.Module):
+    """Some steps of a trajectory of T, or a stack of clips; it ends where its trajectory does."""
 
-    g: Float[Array, " K"]
-    first: Int[Array, " K"]
-    second: Int[Array, " K"]
+    of: Int[Array, "..."]
+    """Number of the trajectory."""
+    start: Int[Array, "..."]
+    """First step."""
+    length: Int[Array, "..."]
+    """Most steps."""
+
+    @classmethod
+    def whole(cls, of: Count | int) -> Clip:
+        """All of a trajectory."""
+        return cls.at(of, 0, WHOLE)
+
+    @classmethod
+    def at(cls, of: Count | int, start: Count | int, length: Count | int) -> Clip:
+        """These steps of a trajectory."""
+        return cls(*(jnp.asarray(x, jnp.int32) for x in (of, start, length)))
+
+
+class Kind(IntEnum):
+    """How the bounds of an answer are read."""
+
+    NUMBER = 0
+    LEVEL = 1
+    RANKING = 2
+    RATING = 3
+
+
+KINDS = {"number": Kind.NUMBER, "ranking": Kind.RANKING, "rating": Kind.RATING}
+"""Of the forms that are not a level."""
+
+
+class Said(eqx.Module):
+    """What an answer says of the utilities of its clips, in numbers; or a stack of answers."""
+
+    kind: Int[Array, "..."]
+    """One of `Kind`."""
+    low: Float[Array, "..."]
+    """Least perceived difference that fits the answer; the number itself for `NUMBER`."""
+    high: Float[Array, "..."]
+    """Greatest; may be infinite."""
+    items: Int[Array, "..."]
+    """How many clips it is about."""
+
+    @classmethod
+    def of(cls, answer: Answer) -> Said:
+        """An answer in numbers."""
+        low, high = answer.bounds()
+        kind = KINDS.get(answer.form, Kind.LEVEL)
+        ints = jnp.asarray(kind, jnp.int32), jnp.asarray(answer.items, jnp.int32)
+        return cls(ints[0], jnp.asarray(low, jnp.float32), jnp.asarray(high, jnp.float32), ints[1])
+
+
+class Preferences(eqx.Module):
+    """P: answers with the clips they are about, in the order in which they came."""
+
+    said: Said
+    clips: Clip
+    """(K, m): of a ranking the best one first; of two clips the first is better where g > 0."""
+    judge: Int[Array, " K"]
+    """Who answered, by number."""
+    at_hand: Int[Array, " K"]
+    """How many trajectories there were when the question was answered."""
     count: Count
 
     @classmethod
-    def empty(cls, capacity: int) -> Preferences:
-        """P = ∅ with room for `capacity` answers."""
-        nobody = jnp.zeros(capacity, jnp.int32)
-        return cls(jnp.zeros(capacity), nobody, nobody, jnp.zeros((), jnp.int32))
+    def empty(cls, capacity: int, *, m: int = 2) -> Preferences:
+        """P = ∅ with room for `capacity` answers about at most `m` clips each."""
+        zeros = jnp.zeros(capacity, jnp.int32)
+        bounds = jnp.zeros(capacity)
+        clips = Clip(jnp.full((capacity, m), NOBODY, jnp.int32), *[jnp.zeros((capacity, m), jnp.int32)] * 2)
+        return cls(Said(zeros, bounds, bounds, zeros), clips, zeros, zeros, jnp.zeros((), jnp.int32))
 
     @property
     def capacity(self) -> int:
-        return self.g.shape[0]
+        return self.judge.shape[0]
+
+    @property
+    def m(self) -> int:
+        """Most clips that an answer can be about."""
+        return self.clips.of.shape[1]
 
     @property
     def filled(self) -> Bool[Array, " K"]:
         """True for the rows that hold an answer."""
         return jnp.arange(self.capacity) < self.count
 
+    @property
+    def g(self) -> Float[Array, " K"]:
+        """The numbers given; what is said of other kinds of answers means nothing."""
+        return self.said.low
+
+    @property
+    def first(self) -> Int[Array, " K"]:
+        """Trajectory of the first clip."""
+        return self.clips.of[:, 0]
+
+    @property
+    def second(self) -> Int[Array, " K"]:
+        """Trajectory of the second clip."""
+        return self.clips.of[:, 1]
+
+    def only_numbers(self) -> bool:
+        """Whether every answer is a number. Looks at the values, so not to be traced."""
+        return not bool(jnp.any(self.filled & (self.said.kind != Kind.NUMBER)))
+
+    def only(self, rows: np.ndarray) -> Preferences:
+        """P with these answers alone, in a P of the same room."""
+        order = np.concatenate([rows, np.setdiff1d(np.arange(self.capacity), rows)]).astype(int)
+        taken = jax.tree.map(lambda x: x[order] if x.ndim else x, self)
+        return eqx.tree_at(lambda P: P.count, taken, jnp.asarray(len(rows), jnp.int32))
+
     def add(self, g: Scalar, first: Count, second: Count) -> Preferences:
-        """P ∪ {g(τ_first, τ_second)}. The caller sees to it that there is room."""
+        """P ∪ {g(τ_first, τ_second)}, of whole trajectories. The caller sees to it that there is room."""
+        said = Said(*(jnp.asarray(x) for x in (Kind.NUMBER, g, g, 2)))
+        pair = [Clip.whole(first), Clip.whole(second)]
+        return self.put(said, pair, at_hand=jnp.maximum(jnp.asarray(first), jnp.asarray(second)) + 1)
+
+    def put(self, said: Said, clips: Sequence[Clip], *, judge: int = 0, at_hand: Count) -> Preferences:
+        """P with one more answer, about these clips. The caller sees to it that there is room."""
+        k = self.count
+        row = lambda all_, one: all_.at[k].set(jnp.asarray(one, all_.dtype))
+        parts = {name: jnp.stack([getattr(clip, name) for clip in clips]) for name in ("of", "start", "length")}
+        at = lambda all_, some: all_.at[k, : len(clips)].set(some.astype(all_.dtype))
         return Preferences(
-            self.g.at[self.count].set(g),
-            self.first.at[self.count].set(first),
-            self.second.at[self.count].set(second),
-            self.count + 1,
+            Said(*(row(getattr(self.said, name), getattr(said, name)) for name in ("kind", "low", "high", "items"))),
+            Clip(**{name: at(getattr(self.clips, name), some) for name, some in parts.items()}),
+            row(self.judge, judge),
+            row(self.at_hand, at_hand),
+            k + 1,
         )
+
+    def answered(self, answer: Answer, clips: Sequence[Clip], *, judge: int = 0, at_hand: Count) -> Preferences:
+        """P with what a judge said about these clips, in the order in which they were shown."""
+        order = answer.value if isinstance(answer.value, tuple) else range(len(clips))
+        return self.put(Said.of(answer), [clips[i] for i in order], judge=judge, at_hand=at_hand)

@@ -50,6 +50,14 @@ class Trajectory(eqx.Module):
             mask=steps,
         )
 
+    def cut(self, start: Count, length: Count) -> Trajectory:
+        """At most `length` steps from step `start`, as a trajectory of their own; it ends where this one does."""
+        start = jnp.clip(start, 0, self.length)
+        n = jnp.minimum(length, self.length - start)
+        rolled = lambda x: jnp.roll(x, -start, axis=0)
+        ended = self.terminated & (start + n == self.length) & (n > 0)
+        return Trajectory(rolled(self.states), rolled(self.actions), rolled(self.rewards), n.astype(jnp.int32), ended)
+
     def seen(self) -> Trajectory:
         """The same without padding, as NumPy arrays: what a judge gets."""
         n = int(self.length)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Bool, Float, Int
 
+from hiprl.data.preference import Clip
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.transition import Transitions
 from hiprl.types import Count, Key
@@ -54,6 +55,10 @@ class Trajectories(eqx.Module):
     def get(self, i: Int[Array, ""] | int) -> Trajectory:
         """Trajectory number `i`, from 0."""
         return jax.tree.map(lambda all_: all_[i], self.rows)
+
+    def clip(self, clip: Clip) -> Trajectory:
+        """What a clip shows."""
+        return self.get(clip.of).cut(clip.start, clip.length)
 
     def pick(self, *, key: Key) -> Count:
         """Index of a trajectory drawn uniformly (Algorithm 1: τ ~ T)."""

@@ -6,7 +6,9 @@ from typing import TypeAlias
 
 from hiprl.data.preference import Preferences
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.reward import AdditiveConfig, EstimatedReward, estimate_additive_reward
+from hiprl.errors import InputError
+from hiprl.models.answers import estimate_from_answers
+from hiprl.models.reward import AdditiveConfig, EstimatedReward, estimate_additive_reward, most_steps
 from hiprl.models.reward_network import (
     NetworkConfig,
     NetworkReward,
@@ -25,9 +27,27 @@ def new_reward(P: Preferences, T: Trajectories, config: RewardConfig, *, key: Ke
     return estimate_additive_reward(P, T, config)
 
 
-def estimate_reward(P: Preferences, T: Trajectories, before: EstimatedReward, config: RewardConfig) -> EstimatedReward:
-    """The reward after the answers in P; networks go on from the weights in `before`. Eq. (7)."""
+def estimate_reward(
+    P: Preferences, T: Trajectories, before: EstimatedReward | None, config: RewardConfig
+) -> EstimatedReward:
+    """The reward after the answers in P; networks go on from the weights in `before`, others begin anew. Eq. (7).
+
+    Not to be traced.
+
+    Raises:
+        InputError: networks were given answers that are not numbers about whole trajectories.
+    """
+    numbers, steps = P.only_numbers(), most_steps(P, T)
     if isinstance(config, NetworkConfig):
+        if not numbers or steps < T.rows.actions.shape[1]:
+            raise InputError(
+                "got answers that are not numbers about whole trajectories; the paper's reward network learns from "
+                "such numbers alone. Take the default reward, or `--judge exact` without `--clip`."
+            )
         assert isinstance(before, NetworkReward)
         return estimate_network_reward(P, T, before, config)
-    return estimate_additive_reward(P, T, config)
+    if numbers:
+        return estimate_additive_reward(P, T, config, steps=steps)
+    several = len({int(judge) for judge in P.judge[: int(P.count)]}) > 1
+    reward, _ = estimate_from_answers(P, T, config.smooth, learn_mistakes=several)
+    return reward

@@ -2,13 +2,15 @@
 
 The default is exact: with g the difference of two sums of r(s, a) = φ(s, a)ᵀθ and θ ~ N(0, P), the posterior has a
 closed form, which is that of a Gaussian process observed through sums over trajectories. At most a few dozen answers
-come in, so a refit takes milliseconds.
+come in, so a refit takes milliseconds. Where answers are not numbers, the
+Gaussian nearest to the posterior takes its place.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -16,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from hiprl.data.preference import Preferences
+from hiprl.data.preference import Clip, Preferences
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.features import AdditiveFeatures, raw_features
@@ -67,18 +69,23 @@ class AdditiveReward(EstimatedReward):
     """Posterior mean m of the weights."""
     prior: Float[Array, " D"]
     """Prior variance of the weights (P is diagonal)."""
-    root: Float[Array, "K D"]
+    root: Float[Array, "n D"]
     """L⁻¹ΨP, so that S = P - rootᵀ root."""
     low: Scalar
     high: Scalar
-    loo: Float[Array, " K"]
-    """Leave-one-out error of each answer over its own σ; 0 past the count."""
+    scale: Scalar
+    """Size of r̂'s unit to who answers by levels, where a whole scale is 1."""
+    kappa: Scalar
+    """Scale of the error of their perception."""
 
     def __call__(self, s: State, a: Action) -> Scalar:
         return jnp.clip(self.features.dot(s, a, self.mean), self.low, self.high)
 
     def gap(self, tau: Trajectory, other: Trajectory) -> Gap:
-        psi = summed(self.features, tau) - summed(self.features, other)
+        return self.gap_of(summed(self.features, tau) - summed(self.features, other))
+
+    def gap_of(self, psi: Float[Array, " D"]) -> Gap:
+        """The same for two clips whose sums of φ differ by ψ."""
         var = jnp.sum(psi**2 * self.prior) - jnp.sum((self.root @ psi) ** 2)
         return Gap(psi @ self.mean, jnp.sqrt(jnp.maximum(var, 0.0)))
 
@@ -116,32 +123,62 @@ def typical_size(reward: Reward, T: Trajectories) -> Scalar:
     return jnp.where(square > 0, jnp.sqrt(square), 1.0)
 
 
-@jax.jit
-def _evidence(T: Trajectories, P: Preferences):
-    """Features of T, Ψ of the answers in P, and φ of all steps."""
+def clip_sum(features: AdditiveFeatures, T: Trajectories, clip: Clip, steps: int) -> Float[Array, " D"]:
+    """Sum of φ over a clip of at most `steps` steps; 0 for nobody's."""
+    tau = jax.tree.map(lambda x: x[clip.of], T.rows)
+    n = jnp.minimum(clip.length, jnp.maximum(tau.length - clip.start, 0))
+    t = jnp.arange(steps)
+    shown = (t < n) & (clip.of >= 0)
+    at = jnp.where(shown, clip.start + t, 0)
+    clean = lambda x: jnp.where(shown[:, None], x[at], 0.0)
+    phi = jax.vmap(features)(clean(tau.states), clean(tau.actions))
+    return jnp.sum(jnp.where(shown[:, None], phi, 0.0), axis=0)
+
+
+def most_steps(P: Preferences, T: Trajectories) -> int:
+    """Steps of the longest clip in P, rounded up so that few programs serve all. Not to be traced."""
+    H = T.rows.actions.shape[1]
+    longest = int(jnp.max(jnp.where(P.filled[:, None], P.clips.length, 1), initial=1))
+    return min(H, 1 << (longest - 1).bit_length())
+
+
+@partial(jax.jit, static_argnames=("steps",))
+def evidence(T: Trajectories, P: Preferences, *, steps: int) -> tuple[AdditiveFeatures, Float[Array, "K J D"]]:
+    """Features of T, and Ψ: the sum of φ over each clip of an answer less that over its last one."""
     features = features_of(T)
-    Phi = jax.vmap(summed, in_axes=(None, 0))(features, T.rows)
-    Psi = jnp.where(P.filled[:, None], Phi[P.first] - Phi[P.second], 0.0)
-    return features, Psi
+    sums = jax.vmap(jax.vmap(lambda clip: clip_sum(features, T, clip, steps)))(P.clips)
+    last = jnp.take_along_axis(sums, jnp.maximum(P.said.items - 1, 0)[:, None, None], axis=1)
+    used = P.filled[:, None] & (jnp.arange(P.m - 1)[None] < P.said.items[:, None] - 1)
+    return features, jnp.where(used[..., None], sums[:, :-1] - last, 0.0)
 
 
-def estimate_additive_reward(P: Preferences, T: Trajectories, config: AdditiveConfig) -> AdditiveReward:
-    """Posterior of the additive reward given all answers, its scales chosen by marginal likelihood.
+def estimate_additive_reward(
+    P: Preferences, T: Trajectories, config: AdditiveConfig, *, steps: int | None = None
+) -> AdditiveReward:
+    """Posterior of the additive reward given answers that are all numbers, its scales chosen by marginal likelihood.
+
+    Args:
+        P: the answers.
+        T: the trajectories they are about.
+        config: candidates for the scales.
+        steps: of the longest clip; as many as an episode may have if None.
 
     Source: HIP-RL eq. (7) and Theorem 4.3; the posterior of a linear model observed through sums.
     """
-    features, Psi = _evidence(T, P)
+    features, Psi = evidence(T, P, steps=T.rows.actions.shape[1] if steps is None else steps)
     grid = jnp.asarray([(s, n) for s in config.smooth for n in config.noise])
     with jax.enable_x64(True):  # Cholesky of nearly dependent rows: answers are almost free of noise
         posterior = _posterior(
-            jnp.asarray(Psi, jnp.float64),
+            jnp.asarray(Psi[:, 0], jnp.float64),
             jnp.asarray(jnp.where(P.filled, P.g, 0.0), jnp.float64),
             P.filled,
             jax.vmap(features.prior)(jnp.ones(len(grid)), grid[:, 0]).astype(jnp.float64),
             jnp.asarray(grid[:, 1], jnp.float64),
         )
         posterior = jax.tree.map(lambda x: x.astype(jnp.float32), posterior)
-    return _additive_reward(T, features, *posterior)
+    mean, prior, root = posterior
+    root = jnp.pad(root, ((0, P.capacity * (P.m - 2)), (0, 0)))  # as many rows as answers of any kind need
+    return additive_reward(T, features, mean, prior, root, jnp.ones(()), jnp.ones(()))
 
 
 @jax.jit
@@ -152,7 +189,7 @@ def _posterior(
     priors: Float[Array, "G D"],
     noises: Float[Array, " G"],
 ):
-    """Mean, prior variance, root and leave-one-out errors for the candidate of greatest marginal likelihood."""
+    """Mean, prior variance and root for the candidate of greatest marginal likelihood."""
     n = jnp.maximum(jnp.sum(filled), 1)
     square = jnp.sum(g**2) / n
     least = jnp.where(square > 0, 1e-12 * square, 1.0)  # in the judge's unit, whatever that is
@@ -171,18 +208,16 @@ def _posterior(
     best = jnp.argmax(score)
     L, G_g, scale, prior = L[best], G_g[best], scale[best], priors[best]
     half = jax.scipy.linalg.solve_triangular(L, Psi * prior[None], lower=True)
-    inverse_diag = jnp.sum(jax.scipy.linalg.solve_triangular(L, jnp.eye(L.shape[0]), lower=True) ** 2, axis=0)
-    loo = jnp.where(filled, G_g / jnp.sqrt(inverse_diag * scale), 0.0)
-    return prior * (Psi.T @ G_g), prior * scale, half * jnp.sqrt(scale), loo
+    return prior * (Psi.T @ G_g), prior * scale, half * jnp.sqrt(scale)
 
 
 @jax.jit
-def _additive_reward(T: Trajectories, features, mean, prior, root, loo) -> AdditiveReward:
+def additive_reward(T: Trajectories, features, mean, prior, root, scale, kappa) -> AdditiveReward:
     """The posterior with the range of r̂ over the steps of T."""
     rows = T.transitions()
     r = jax.vmap(lambda s, a: features.dot(s, a, mean))(rows.s, rows.a)
     low = jnp.min(jnp.where(rows.mask, r, jnp.inf))
     high = jnp.max(jnp.where(rows.mask, r, -jnp.inf))
     margin = BOX_MARGIN * (high - low)
-    reward = AdditiveReward(jnp.ones(()), features, mean, prior, root, low - margin, high + margin, loo)
+    reward = AdditiveReward(jnp.ones(()), features, mean, prior, root, low - margin, high + margin, scale, kappa)
     return eqx.tree_at(lambda r: r.unit, reward, typical_size(reward, T))

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, NoReturn
 
 import sqlalchemy as sa
 
 from hiprl.errors import InputError, StoreError
-from hiprl.store.rows import TrajectoryRow
+from hiprl.store.rows import ClipRow, TrajectoryRow
 from hiprl.store.schema import checkpoints, episodes, finals, questions, runs, trajectories
 
 _KEPT_CHECKPOINTS = 2
+_MOST_CLIPS = 8  # of a question: more cannot be kept in mind
 
 
 def lock_run(connection: sa.Connection, run_id: str, name: str) -> None:
@@ -45,17 +46,50 @@ def add_trajectory(connection: sa.Connection, run_id: str, row: TrajectoryRow) -
         _refuse_another(run_id, f"trajectory {row.number}: {difference}")
 
 
-def add_question(connection: sa.Connection, run_id: str, k: int, first: int, second: int) -> int:
+def add_question(connection: sa.Connection, run_id: str, k: int, clips: Sequence[ClipRow]) -> int:
     """The question of episode k; gives its id."""
+    clips = [ClipRow(*clip.plain()) for clip in clips]  # numbers of NumPy and JAX become Python's
+    _check_clips(connection, run_id, clips)
     mine = (questions.c.run_id == run_id) & (questions.c.k == k)
     stored = connection.execute(sa.select(questions).where(mine)).one_or_none()
     if stored is None:
-        row = {"run_id": run_id, "k": k, "first": first, "second": second, "created_at": datetime.now(UTC)}
+        row = {"first": clips[0].of, "second": clips[:2][-1].of, "clips": [clip.plain() for clip in clips]}
+        row |= {"run_id": run_id, "k": k, "created_at": datetime.now(UTC)}
         return connection.execute(sa.insert(questions).values(row).returning(questions.c.id)).scalar_one()
-    if (stored.first, stored.second) != (first, second):
-        pairs = f"({stored.first}, {stored.second}) and ({first}, {second})"
-        _refuse_another(run_id, f"the question of episode {k}: it compares {pairs}")
+    before = [ClipRow(*clip) for clip in stored.clips]
+    if before != clips:
+        both = " and ".join(f"({', '.join(map(str, some))})" for some in (before, clips))
+        _refuse_another(run_id, f"the question of episode {k}: it is about {both}")
     return stored.id
+
+
+def _check_clips(connection: sa.Connection, run_id: str, clips: Sequence[ClipRow]) -> None:
+    """Refuse a question about too few or too many clips, or about steps that no stored trajectory has."""
+    if not 1 <= len(clips) <= _MOST_CLIPS:
+        raise InputError(
+            f"got {len(clips)} clips to ask about; a question is about 1 to {_MOST_CLIPS}. "
+            "Name one or two, or spread many over several questions."
+        )
+    mine = (trajectories.c.run_id == run_id) & trajectories.c.number.in_({clip.of for clip in clips})
+    rows = connection.execute(sa.select(trajectories.c.number, trajectories.c.length).where(mine))
+    lengths = {row.number: row.length for row in rows}
+    for clip in clips:
+        if clip.of not in lengths:
+            raise InputError(
+                f"got a clip of trajectory {clip.of}, and run {run_id!r} has none of this number; only what was "
+                "executed can be asked about. Count from 0, and add the trajectory before the question."
+            )
+        steps = lengths[clip.of]
+        if not 0 <= clip.start < steps:
+            raise InputError(
+                f"got a clip that starts at step {clip.start} of trajectory {clip.of}, which has {steps}; "
+                f"a step from 0 to {steps - 1} is needed. Start it there."
+            )
+        if clip.length is not None and clip.length < 1:
+            raise InputError(
+                f"got a clip of {clip.length} steps of trajectory {clip.of}; at least 1 is needed. "
+                "Take more, or None to go on to its end."
+            )
 
 
 def add_episode(connection: sa.Connection, run_id: str, k: int, facts: Mapping[str, Any], checkpoint: bytes) -> None:

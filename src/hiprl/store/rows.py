@@ -8,6 +8,7 @@ from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
+from hiprl.data.answer import Answer
 from hiprl.store.arrays import array_from_bytes, array_to_bytes
 
 Kind: TypeAlias = Literal["random", "policy"]
@@ -116,19 +117,62 @@ class TrajectoryRow:
         return None
 
 
+@dataclass(frozen=True)
+class ClipRow:
+    """Some steps of a trajectory of the run; all of them, if nothing else is said."""
+
+    of: int
+    """Number of the trajectory."""
+    start: int = 0
+    """Its first step."""
+    length: int | None = None
+    """At most so many steps; None goes on to the end."""
+
+    def __str__(self) -> str:
+        if self.length is None:
+            return f"{self.of}[{self.start}:]" if self.start else f"{self.of}"
+        return f"{self.of}[{self.start}:{self.start + self.length}]"
+
+    def plain(self) -> tuple[int, int, int | None]:
+        """As JSON keeps it, also where the numbers are NumPy's or JAX's."""
+        return int(self.of), int(self.start), None if self.length is None else int(self.length)
+
+
 @dataclass(frozen=True, kw_only=True)
 class QuestionRow:
-    """Which of two trajectories is better? Asked in episode k."""
+    """Which of some clips is better, or how good is one? Asked in episode k."""
 
     id: int
     run_id: str
     k: int
     first: int
-    """Number of a trajectory of the run."""
+    """Number of the first clip's trajectory."""
     second: int
+    """Of the second clip's; of the first's, if there is but one."""
+    clips: tuple[ClipRow, ...]
+    """One to eight."""
     created_at: datetime
-    g: float | None
-    """The newest answer; > 0 means that the first one is better. None while it is open."""
+    answer: Answer | None
+    """The newest one. None while it is open."""
+
+    @classmethod
+    def read(cls, row: Any) -> QuestionRow:
+        """The question in a row of the table, with what was said (None: nothing yet)."""
+        return cls(
+            id=row.id,
+            run_id=row.run_id,
+            k=row.k,
+            first=row.first,
+            second=row.second,
+            clips=tuple(ClipRow(*clip) for clip in row.clips),
+            created_at=row.created_at,
+            answer=None if row.said is None else Answer.read(row.said),
+        )
+
+    @property
+    def g(self) -> float | None:
+        """The newest answer if it is a number; > 0 means that the first clip is better."""
+        return number_of(self.answer)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,9 +180,20 @@ class AnswerRow:
     """What a judge said; a later one for the same k corrects it."""
 
     k: int
-    g: float
-    """By how much the question's first trajectory is better than its second."""
+    answer: Answer
     judge: str
     swapped: bool
-    """The judge was shown the second one first (g still speaks of the question's own order)."""
+    """The judge was shown the second one first (the answer still speaks of the question's own order)."""
     created_at: datetime
+
+    @property
+    def g(self) -> float | None:
+        """By how much the question's first clip is better than its second, if a number was said."""
+        return number_of(self.answer)
+
+
+def number_of(answer: Answer | None) -> float | None:
+    """The number that was said; None where nothing, or something else, was."""
+    if answer is None or answer.form != "number" or not isinstance(answer.value, int | float):
+        return None
+    return float(answer.value) + 0.0  # turns -0.0, whose sign SQLite loses, into 0.0 everywhere

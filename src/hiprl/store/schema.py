@@ -9,7 +9,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.engine import Dialect
 
-HEAD = "0001"
+HEAD = "0002"
 """Revision of the newest migration: what these tables are."""
 VERSION_TABLE = "hiprl_version"
 """Where a store keeps its revision. A database without it is not ours."""
@@ -105,9 +105,10 @@ questions = sa.Table(
     sa.Column("id", _Number, primary_key=True),
     sa.Column("run_id", sa.ForeignKey("runs.id"), nullable=False),
     sa.Column("k", sa.Integer, nullable=False),
-    sa.Column("first", sa.Integer, nullable=False),
-    sa.Column("second", sa.Integer, nullable=False),
+    sa.Column("first", sa.Integer, nullable=False),  # trajectory of the first clip
+    sa.Column("second", sa.Integer, nullable=False),  # of the second; of the first if there is but one
     _created_at(),
+    sa.Column("clips", Json, nullable=False),  # [[trajectory, first step, at most so many or null], ...]
     sa.UniqueConstraint("run_id", "k"),
     sa.ForeignKeyConstraint(["run_id", "first"], ["trajectories.run_id", "trajectories.number"]),
     sa.ForeignKeyConstraint(["run_id", "second"], ["trajectories.run_id", "trajectories.number"]),
@@ -118,10 +119,11 @@ answers = sa.Table(
     metadata,
     sa.Column("id", _Number, primary_key=True),  # the greatest is the newest, and the newest counts
     sa.Column("question_id", sa.ForeignKey("questions.id"), nullable=False, index=True),
-    sa.Column("g", sa.Double, nullable=False),  # > 0: the question's first trajectory is better
+    sa.Column("g", sa.Double),  # a number that was said; > 0: the question's first clip is better
     sa.Column("judge", sa.Text, nullable=False),
     sa.Column("swapped", sa.Boolean, nullable=False),  # the judge was shown the second one first
     _created_at(),
+    sa.Column("said", Json, nullable=False),  # the whole answer, `Answer.plain()`
 )
 
 episodes = sa.Table(

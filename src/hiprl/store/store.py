@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import re
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,12 +12,13 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from hiprl.data.answer import Answer
 from hiprl.errors import InputError
 from hiprl.store.engine import Database, connect
 from hiprl.store.lease import Lease, Owner, hold
 from hiprl.store.migrate import bring_up_to_date
 from hiprl.store.once import add_episode, add_final, add_question, add_trajectory, lock_run, refuse_run
-from hiprl.store.rows import AnswerRow, Executed, Kind, QuestionRow, RunRow, TrajectoryRow
+from hiprl.store.rows import AnswerRow, ClipRow, Executed, Kind, QuestionRow, RunRow, TrajectoryRow, number_of
 from hiprl.store.schema import answers, checkpoints, episodes, finals, questions, runs, trajectories
 
 _LONGEST = 2**63 - 1  # of an integer in either database
@@ -176,15 +176,16 @@ class Store:
 
     # Questions and answers
 
-    def ask(self, run_id: str, k: int, first: int, second: int) -> int:
-        """The id of episode k's question: is trajectory `first` better than `second`?
+    def ask(self, run_id: str, k: int, clips: Sequence[ClipRow]) -> int:
+        """The id of episode k's question: which of these clips is better, or how good is the only one?
 
         Raises:
-            StoreError: episode k asks about other trajectories.
+            InputError: there are none or more than eight, or one shows steps that no stored trajectory has.
+            StoreError: episode k asks about other clips.
         """
         with self._database.writing() as connection:
             lock_run(connection, run_id, self.name)
-            return add_question(connection, run_id, k, first, second)
+            return add_question(connection, run_id, k, clips)
 
     def open_question(
         self,
@@ -193,14 +194,13 @@ class Store:
         number: int,
         tau: Executed,
         kind: Kind,
-        first: int,
-        second: int,
+        clips: Sequence[ClipRow],
     ) -> int:
         """`add_trajectory` and `ask` at once: what an episode must leave behind before a judge is asked."""
         with self._database.writing() as connection:
             lock_run(connection, run_id, self.name)
             add_trajectory(connection, run_id, TrajectoryRow.of(tau, number=number, kind=kind))
-            return add_question(connection, run_id, k, first, second)
+            return add_question(connection, run_id, k, clips)
 
     def questions(self, run_id: str | None = None, *, unanswered: bool = False) -> list[QuestionRow]:
         """The questions of a run, or of all runs, oldest first; on request the open ones only."""
@@ -211,7 +211,7 @@ class Store:
             .scalar_subquery()
         )
         query = (
-            sa.select(questions, answers.c.g)
+            sa.select(questions, answers.c.said)
             .select_from(questions.outerjoin(answers, answers.c.id == newest))
             .order_by(questions.c.id)
         )
@@ -220,46 +220,54 @@ class Store:
         if unanswered:
             query = query.where(answers.c.id.is_(None))
         with self._database.reading() as connection:
-            return [QuestionRow(**row._mapping) for row in connection.execute(query)]
+            return [QuestionRow.read(row) for row in connection.execute(query)]
 
-    def answer(self, run_id: str, k: int, g: float | int, judge: str, *, swapped: bool = False) -> None:
+    def answer(self, run_id: str, k: int, answer: Answer, judge: str, *, swapped: bool = False) -> None:
         """Keep an answer to episode k's question; it replaces earlier ones, which stay to be seen.
 
         Args:
             run_id: of the run.
             k: the episode.
-            g: by how much the question's first trajectory is better than its second.
+            answer: what is said of the question's clips, in the question's own order.
             judge: who says so.
             swapped: whether the judge was shown the second one first.
 
         Raises:
-            InputError: nothing is asked there, or g is not finite.
+            InputError: nothing is asked there, or the answer is about more or fewer clips than the question.
         """
-        if not math.isfinite(g):
-            raise InputError(f"got the answer {g}; a finite number is needed. Answer 0 for no difference.")
         with self._database.writing() as connection:
             mine = (questions.c.run_id == run_id) & (questions.c.k == k)
-            question_id = connection.execute(sa.select(questions.c.id).where(mine)).scalar()
-            if question_id is None:
+            asked = connection.execute(sa.select(questions.c.id, questions.c.clips).where(mine)).one_or_none()
+            if asked is None:
                 raise InputError(
                     f"run {run_id} asks nothing in episode {k}; an answer needs its question. "
                     "Wait until the episode was executed, or check the run's id."
                 )
-            # Adding 0 turns -0.0, whose sign SQLite loses, into 0.0 everywhere.
-            row = {"g": float(g) + 0.0, "judge": judge, "swapped": swapped, "created_at": datetime.now(UTC)}
-            connection.execute(sa.insert(answers).values(question_id=question_id, **row))
+            if answer.form != "unsure" and answer.items != len(asked.clips):
+                raise InputError(
+                    f"got an answer of the form {answer.form!r}, which is about {_clips(answer.items)}, where run "
+                    f"{run_id} asks in episode {k} about {_clips(len(asked.clips))}; it must be about as many. "
+                    f"Give {_fitting(len(asked.clips))}, or say that you cannot tell."
+                )
+            g = number_of(answer)
+            said = answer.plain() | ({} if g is None else {"value": g})
+            row = {"g": g, "said": said, "judge": judge, "swapped": swapped, "created_at": datetime.now(UTC)}
+            connection.execute(sa.insert(answers).values(question_id=asked.id, **row))
 
-    def answer_of(self, run_id: str, k: int) -> float | None:
+    def answer_of(self, run_id: str, k: int) -> Answer | None:
         """The newest answer to episode k's question; None while there is none."""
-        said = [answer.g for answer in self.answers(run_id) if answer.k == k]
+        said = [row.answer for row in self.answers(run_id) if row.k == k]
         return said[-1] if said else None
 
     def answers(self, run_id: str) -> list[AnswerRow]:
         """All answers in the order they were given, corrected ones too."""
-        columns = (questions.c.k, answers.c.g, answers.c.judge, answers.c.swapped, answers.c.created_at)
+        columns = (questions.c.k, answers.c.said, answers.c.judge, answers.c.swapped, answers.c.created_at)
         query = sa.select(*columns).join_from(answers, questions).where(questions.c.run_id == run_id)
         with self._database.reading() as connection:
-            return [AnswerRow(**row._mapping) for row in connection.execute(query.order_by(answers.c.id))]
+            return [
+                AnswerRow(k=k, answer=Answer.read(said), judge=judge, swapped=swapped, created_at=created_at)
+                for k, said, judge, swapped, created_at in connection.execute(query.order_by(answers.c.id))
+            ]
 
     # Episodes and the end
 
@@ -305,3 +313,12 @@ class Store:
         """The policy of a finished run; None while it is not."""
         with self._database.reading() as connection:
             return connection.execute(sa.select(finals.c.policy).where(finals.c.run_id == run_id)).scalar()
+
+
+def _clips(n: int) -> str:
+    return "1 clip" if n == 1 else f"{n} clips"
+
+
+def _fitting(n: int) -> str:
+    """An answer to a question about so many clips, in words."""
+    return "a rating" if n == 1 else "one of the two, or a number" if n == 2 else f"a ranking of all {n}"

@@ -1,0 +1,170 @@
+"""Which clips to ask about: those whose answer is expected to tell most, or any."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal, TypeAlias, get_args
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+from jaxtyping import Array, Float
+
+from hiprl.data.preference import WHOLE, Clip
+from hiprl.data.trajectory_set import Trajectories
+from hiprl.errors import InputError
+from hiprl.models.features import AdditiveFeatures
+from hiprl.models.reward import AdditiveReward, EstimatedReward, clip_sum
+from hiprl.types import Key, Scalar
+
+Pick: TypeAlias = Literal["uniform", "information"]
+NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(16)
+"""Of the expectation over a standard normal."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuestionConfig:
+    """What a judge is asked."""
+
+    clip: int | None = None
+    """Steps of a clip; None for whole trajectories (the paper)."""
+    pick: Pick = "uniform"
+    """`uniform`: the newest trajectory and any older ones (the paper). `information`: what is expected to tell most."""
+    items: int = 2
+    """Clips in a question: 2 to compare, 1 to rate, more to rank."""
+    levels: int | None = None
+    """Answers that there are: 2 for a choice, 5 for five levels; None for a number."""
+    candidates: int = 3000
+    """Questions that are weighed up to find one."""
+    aligned: float = 0.5
+    """Share of questions about the newest and the best trajectory, by r̂: there the policy is improved."""
+
+    def __post_init__(self) -> None:
+        if self.clip is not None and self.clip < 1:
+            raise InputError(
+                f"got clips of {self.clip} steps; a clip has at least 1, and people judge 2 to 5 seconds best. "
+                "Say for example `--clip 50`."
+            )
+        if self.pick not in get_args(Pick):
+            raise InputError(
+                f"got the question picked by {self.pick!r}; it is one of {', '.join(get_args(Pick))}. "
+                "Say for example `--ask information`."
+            )
+        if not 1 <= self.items <= 8 or (self.levels is not None and self.levels < 2):
+            raise InputError(
+                f"got questions about {self.items} clips with {self.levels} levels; 1 to 8 clips and at least 2 levels "
+                "are possible. Take 2 clips, and 2 or 5 levels."
+            )
+        if self.candidates < 1 or not 0 <= self.aligned <= 1:
+            raise InputError(
+                f"got {self.candidates} candidates and a share of {self.aligned} aligned questions; at least 1 and a "
+                "share from 0 to 1 are needed. Leave both out for the default."
+            )
+
+
+@partial(jax.jit, static_argnames=("config",))
+def pick_clips(T: Trajectories, reward: EstimatedReward, config: QuestionConfig, *, key: Key) -> Clip:
+    """The clips to ask about, stacked; the newest trajectory of T is among them where nothing else is asked for.
+
+    Source: HIP-RL Algorithm 1 (τ ~ T) for `uniform`; expected information (BALD), Houlsby et al. (2011).
+    """
+    if config.pick == "uniform" or not isinstance(reward, AdditiveReward):
+        return _uniform(T, config, key=key)
+    draw_key, aligned_key, kind_key = jr.split(key, 3)
+    anything = _draws(T, config, jnp.zeros((), bool), T.last, T.last, key=draw_key)
+    best = jnp.argmax(jnp.where(jnp.arange(T.capacity) < T.last, reward.returns(T), -jnp.inf))
+    aligned = _draws(T, config, jnp.ones((), bool), T.last, best, key=aligned_key)
+    clips = jax.tree.map(partial(jnp.where, jr.bernoulli(kind_key, config.aligned)), aligned, anything)
+    worth = information(T, reward, clips, config)
+    return jax.tree.map(lambda x: x[jnp.argmax(worth)], clips)
+
+
+def _uniform(T: Trajectories, config: QuestionConfig, *, key: Key) -> Clip:
+    """The newest trajectory, and older ones."""
+    older_key, start_key = jr.split(key)
+    older = jr.randint(older_key, (config.items - 1,), 0, T.last)
+    return _started(T, jnp.append(T.last, older), config, key=start_key)
+
+
+def _draws(T: Trajectories, config: QuestionConfig, align, first, second, *, key: Key) -> Clip:
+    """(n, items) clips of any trajectories; where aligned, of these two."""
+    of_key, start_key = jr.split(key)
+    of = jr.randint(of_key, (config.candidates, config.items), 0, T.count)
+    named = jnp.where(jnp.arange(config.items) % 2 == 0, first, second)[None]
+    return _started(T, jnp.where(align, jnp.broadcast_to(named, of.shape), of), config, key=start_key)
+
+
+def _started(T: Trajectories, of: Array, config: QuestionConfig, *, key: Key) -> Clip:
+    """A clip of each of these trajectories, at a random place."""
+    if config.clip is None:
+        return Clip(of, jnp.zeros_like(of), jnp.full_like(of, WHOLE))
+    latest = jnp.maximum(T.rows.length[of] - config.clip, 0)
+    start = jnp.floor(jr.uniform(key, of.shape) * (latest + 1)).astype(jnp.int32)
+    return Clip(of, jnp.minimum(start, latest), jnp.full_like(of, config.clip))
+
+
+def information(T: Trajectories, reward: AdditiveReward, clips: Clip, config: QuestionConfig) -> Float[Array, " n"]:
+    """What the answer to each question is expected to tell about r̂, in nats; -∞ for a clip beside itself.
+
+    Of a number it grows with σ_g, of a ranking with the volume of what is unknown of its differences: in these two
+    cases only the order means something.
+    """
+    psi = _differences(T, reward.features, clips, config)
+    mean = psi @ reward.mean
+    half = psi @ reward.root.T
+    prior = psi * jnp.sqrt(reward.prior)[None, None]
+    var = jnp.maximum(jnp.sum(prior**2, axis=-1) - jnp.sum(half**2, axis=-1), 0.0)
+    if config.items > 2:
+        C = jnp.einsum("nid,njd->nij", prior, prior) - jnp.einsum("nik,njk->nij", half, half)
+        noise = (reward.kappa / reward.scale) ** 2
+        return _distinct(clips, 0.5 * jnp.linalg.slogdet(jnp.eye(C.shape[-1])[None] + C / noise)[1])
+    mean, std = mean[:, 0], jnp.sqrt(var[:, 0])
+    if config.levels is None:
+        return _distinct(clips, jnp.log(jnp.maximum(std, 1e-30)))
+    cuts = jnp.arange(1, config.levels) * 2 / (config.levels - 1) - 1 - 1 / (config.levels - 1)
+    bits = jax.vmap(expected_information, in_axes=(0, 0, None, None))
+    return _distinct(clips, bits(mean * reward.scale, std * reward.scale, cuts, reward.kappa))
+
+
+def expected_information(mean: Scalar, std: Scalar, cuts: Float[Array, " levels_less_1"], kappa: Scalar) -> Scalar:
+    """I(answer; u) for u ~ N(mean, std²) perceived with a logistic error and cut into levels, in nats.
+
+    Source: Houlsby et al. (2011), with quadrature in place of the approximation for two levels.
+    """
+    u = mean + std * jnp.asarray(NODES)
+    below = jax.nn.sigmoid((cuts[None] - u[:, None]) / kappa)
+    edges = jnp.concatenate([jnp.zeros((len(NODES), 1)), below, jnp.ones((len(NODES), 1))], axis=1)
+    p = jnp.maximum(jnp.diff(edges, axis=1), 1e-12)
+    weights = jnp.asarray(WEIGHTS / WEIGHTS.sum())
+    entropy = lambda p: -jnp.sum(p * jnp.log(p), axis=-1)
+    return entropy(weights @ p) - weights @ entropy(p)
+
+
+def _differences(T: Trajectories, features: AdditiveFeatures, clips: Clip, config: QuestionConfig):
+    """(n, items - 1, D): sums of φ of each clip less that of the last; of a single clip as they are."""
+    H = T.rows.actions.shape[1]
+    if config.clip is None or config.clip >= H:
+        Phi = jax.vmap(lambda i: clip_sum(features, T, Clip.whole(i), H))(jnp.arange(T.capacity))
+        sums = Phi[clips.of]
+    else:
+        steps = config.clip
+        one = lambda clip: clip_sum(features, T, clip, steps)
+        # a few at a time, so that features of all steps of all candidates never lie side by side
+        flat = jax.tree.map(lambda x: x.reshape(-1), clips)
+        sums = jax.lax.map(one, flat, batch_size=64).reshape(*clips.of.shape, -1)
+    if config.items == 1:
+        n = jnp.minimum(clips.length, T.rows.length[clips.of] - clips.start)
+        return sums.at[..., 0].add(-n.astype(sums.dtype))  # the bias says nothing of a clip beside the average one
+    return sums[:, :-1] - sums[:, -1:]
+
+
+def _distinct(clips: Clip, worth: Float[Array, " n"]) -> Float[Array, " n"]:
+    """The worth of questions, those that show the same steps twice ruled out."""
+    m = clips.of.shape[1]
+    same = clips.of[:, :, None] == clips.of[:, None]
+    apart = jnp.abs(clips.start[:, :, None] - clips.start[:, None])
+    overlap = same & (apart < jnp.minimum(clips.length[:, :, None], clips.length[:, None]))
+    clash = jnp.any(overlap & ~jnp.eye(m, dtype=bool)[None], axis=(1, 2))
+    return jnp.where(clash | ~jnp.isfinite(worth), -jnp.inf, worth)

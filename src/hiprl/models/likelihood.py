@@ -1,0 +1,121 @@
+"""What an answer says of the utilities of the clips that were compared: one log likelihood for every kind of answer.
+
+An answer about clips of utility v_1 … v_m speaks of their differences u_j = v_j - v_m only:
+
+- `NUMBER`: u_1 is the number given, but for a Gaussian error.
+- `LEVEL`: u_1, as a person perceives it, lies between two bounds. A choice is [0, ∞); "equal" is narrow around 0; one
+  of five levels is its own fifth; "cannot tell" is (-∞, ∞), which says nothing.
+- `RATING`: the same of one clip, against what was at hand.
+- `RANKING`: the clips in this order, best first (Plackett-Luce).
+
+Perception errs by a logistic variable of scale κ, and with two clips Plackett-Luce is the same as a choice.
+Source: Bradley and Terry (1952); Plackett (1975), Luce (1959); ordered logit, McCullagh (1980).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hiprl.data.preference import Kind, Said
+from hiprl.types import Count, Flag, Scalar
+
+TINY = 1e-12
+LEAST = 1e-30  # probability, so that its logarithm is a number
+
+
+class Noise(eqx.Module):
+    """How answers err."""
+
+    kappa: Scalar
+    """Scale of the logistic error of perception, in the unit of the levels."""
+    var: Scalar
+    """Variance of the error of a number, in the unit of u."""
+    mistake: Float[Array, "..."]
+    """Probability that a level was meant for the clips the other way round, or that a ranking means nothing: one for
+    an answer, or one for each."""
+
+
+def between(low: Scalar, high: Scalar, u: Scalar, kappa: Scalar) -> Scalar:
+    """Log of the probability that u plus a logistic error of scale κ lies in [low, high]."""
+    wide = 1e6  # in scales of the error: as good as infinite, and its gradient is a number
+    a = jnp.clip((low - u) / kappa, -wide, wide)
+    b = jnp.clip((high - u) / kappa, -wide, wide)
+    width = jnp.maximum(b - a, TINY)
+    return -jax.nn.softplus(-b) - jax.nn.softplus(a) + jnp.log(-jnp.expm1(-width))
+
+
+def plackett_luce(u: Float[Array, " J"], items: Count, kappa: Scalar) -> Scalar:
+    """Log of the probability that the first `items` clips come in the order given; the last of them has utility 0.
+
+    Args:
+        u: utility of each clip but the last over that of the last; what lies past `items` - 1 does not count.
+        items: clips in the ranking.
+        kappa: scale of the error of perception.
+    """
+    m = u.shape[0] + 1
+    j = jnp.arange(m)
+    v = jnp.where(j < items - 1, jnp.append(u, 0.0), 0.0) / kappa
+    later = jnp.where((j[None] >= j[:, None]) & (j[None] < items), v[None], -jnp.inf)
+    rest = jax.nn.logsumexp(jnp.where(j[:, None] < items, later, 0.0), axis=1)
+    return jnp.sum(jnp.where(j < items, v - rest, 0.0))
+
+
+def for_each(f: Callable[..., Any], u: Float[Array, "rows J"], said: Said, noise: Noise) -> Any:
+    """`f` of each answer in a stack."""
+    one = lambda u, said, mistake: f(u, said, Noise(noise.kappa, noise.var, mistake))
+    return jax.vmap(one)(u, said, noise.mistake)
+
+
+def levelled(said: Said) -> Flag:
+    """Whether an answer is read as bounds on a perceived difference."""
+    return (said.kind == Kind.LEVEL) | (said.kind == Kind.RATING)
+
+
+def meant(u: Float[Array, " J"], said: Said, noise: Noise) -> Scalar:
+    """Log likelihood of an answer that is no mistake."""
+    is_level, is_ranking = levelled(said), said.kind == Kind.RANKING
+    # what does not apply must stay finite, for the gradient's sake
+    g = jnp.where(said.kind == Kind.NUMBER, said.low, 0.0)
+    number = -0.5 * (u[0] - g) ** 2 / noise.var - 0.5 * jnp.log(2 * jnp.pi * noise.var)
+    low, high = jnp.where(is_level, said.low, -1.0), jnp.where(is_level, said.high, 1.0)
+    level = between(low, high, jnp.where(is_level, u[0], 0.0), noise.kappa)
+    ranking = plackett_luce(jnp.where(is_ranking, u, 0.0), jnp.where(is_ranking, said.items, 1), noise.kappa)
+    return jnp.where(is_ranking, ranking, jnp.where(is_level, level, number))
+
+
+def mistaken(u: Float[Array, " J"], said: Said, noise: Noise) -> Scalar:
+    """Log likelihood of an answer that is a mistake: a level for the wrong clip, any ranking at all."""
+    is_level = levelled(said)
+    low, high = jnp.where(is_level, said.low, -1.0), jnp.where(is_level, said.high, 1.0)
+    level = between(low, high, jnp.where(is_level, -u[0], 0.0), noise.kappa)
+    return jnp.where(is_level, level, -jax.lax.lgamma(said.items + 1.0))
+
+
+def log_likelihood(u: Float[Array, " J"], said: Said, noise: Noise) -> Scalar:
+    """Log likelihood of one answer, mistakes included. Numbers are never mistaken for others."""
+    true, false = meant(u, said, noise), mistaken(u, said, noise)
+    either = jnp.logaddexp(jnp.log1p(-noise.mistake) + true, jnp.log(jnp.maximum(noise.mistake, LEAST)) + false)
+    return jnp.where(said.kind == Kind.NUMBER, true, either)
+
+
+def responsibility(u: Float[Array, " J"], said: Said, noise: Noise) -> Scalar:
+    """Probability that the answer was a mistake, given the utilities."""
+    false = jnp.log(jnp.maximum(noise.mistake, LEAST)) + mistaken(u, said, noise)
+    found = jnp.exp(false - log_likelihood(u, said, noise))
+    return jnp.where(said.kind == Kind.NUMBER, 0.0, jnp.minimum(found, 1.0))
+
+
+def curvature(u: Float[Array, " J"], said: Said, noise: Noise) -> Float[Array, "J J"]:
+    """Minus the second derivative of the log likelihood, but that of which explanation fits: never negative.
+
+    With mistakes the likelihood is a mixture and need not be log-concave; each of its two parts is.
+    """
+    wrong = responsibility(u, said, noise)
+    of = lambda part: -jax.hessian(part)(u, said, noise)
+    return (1 - wrong) * of(meant) + wrong * of(mistaken)

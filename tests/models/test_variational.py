@@ -1,0 +1,129 @@
+import emcee
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hiprl.data.answer import choice, level, ranking
+from hiprl.data.preference import Kind, Said
+from hiprl.models.likelihood import Noise, for_each, log_likelihood
+from hiprl.models.variational import approximate
+
+D, ROWS, KAPPA = 3, 11, 0.4
+
+
+def stacked(answers):
+    told = [Said.of(answer) for answer in answers]
+    return jax.tree.map(
+        lambda *x: jnp.stack([jnp.asarray(y, jnp.float32) if y.dtype.kind == "f" else y for y in x]), *told
+    )
+
+
+def noise(mistake=0.0, rows=ROWS):
+    return Noise(jnp.float32(KAPPA), jnp.float32(1e-2), jnp.full(rows, mistake, jnp.float32))
+
+
+def weights(Psi, mode):
+    """Mean and covariance of θ ~ N(0, I) from the posterior of f = Ψθ."""
+    A = np.asarray(Psi, float).reshape(-1, Psi.shape[-1])
+    RA = np.asarray(mode.root, float) @ A
+    return A.T @ np.asarray(mode.dual, float), np.eye(A.shape[1]) - RA.T @ RA
+
+
+def solved(Psi, told, how, *, steps=20, filled=None):
+    A = jnp.asarray(Psi, jnp.float32).reshape(-1, Psi.shape[-1])
+    filled = jnp.ones(len(Psi), bool) if filled is None else filled
+    return jax.jit(approximate, static_argnames="steps")(A @ A.T, told, filled, how, steps=steps)
+
+
+def sampled(Psi, told, how):
+    """Mean and covariance of θ by a long run of an ensemble sampler."""
+
+    @jax.jit
+    def log_density(thetas):
+        u = jnp.einsum("rjd,wd->wrj", jnp.asarray(Psi, jnp.float32), thetas)
+        return jax.vmap(lambda u: jnp.sum(for_each(log_likelihood, u, told, how)))(u) - 0.5 * jnp.sum(thetas**2, axis=1)
+
+    rng = np.random.default_rng(0)
+    sampler = emcee.EnsembleSampler(
+        40, D, lambda x: np.asarray(log_density(jnp.asarray(x, jnp.float32)), float), vectorize=True
+    )
+    sampler.random_state = np.random.RandomState(1).get_state()
+    sampler.run_mcmc(rng.normal(size=(40, D)), 2500)
+    draws = sampler.get_chain(discard=500, flat=True)
+    return draws.mean(axis=0), np.cov(draws.T)
+
+
+def compared(kind, seed=0):
+    """Ψ and answers of this kind about a known θ."""
+    rng = np.random.default_rng(seed)
+    theta = np.array([1.0, -0.7, 0.4])
+    m = 4 if kind == "ranking" else 2
+    Phi = rng.normal(size=(ROWS, m, D))
+    v = Phi @ theta
+    answers = []
+    for row in range(ROWS):
+        if kind == "ranking":
+            order = tuple(int(i) for i in np.argsort(-(v[row] + KAPPA * rng.gumbel(size=m))))
+            Phi[row] = Phi[row][list(order)]
+            answers.append(ranking(order))
+        else:
+            u = v[row, 0] - v[row, 1] + KAPPA * rng.logistic()
+            answers.append(
+                choice(bool(u > 0)) if kind == "choice" else level(float(np.clip(np.round(2 * u), -2, 2)), 5)
+            )
+    return Phi[:, :-1] - Phi[:, -1:], stacked(answers)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["choice", "level", "ranking"])
+@pytest.mark.parametrize("mistake", [0.0, 0.05])
+def test_the_posterior_agrees_with_a_long_monte_carlo_run(kind, mistake):
+    Psi, told = compared(kind)
+    how = noise(mistake)
+    mean, cov = weights(Psi, solved(Psi, told, how))
+    exact_mean, exact_cov = sampled(Psi, told, how)
+    std = np.sqrt(np.diag(exact_cov))
+
+    np.testing.assert_array_less(np.abs(mean - exact_mean), 0.2 * std)
+    np.testing.assert_allclose(np.sqrt(np.diag(cov)), std, rtol=0.25)  # a little too sure of choices
+
+
+def test_numbers_give_the_closed_form():
+    rng = np.random.default_rng(3)
+    Psi, g = rng.normal(size=(ROWS, 1, D)), rng.normal(size=ROWS)
+    told = Said(
+        jnp.full(ROWS, int(Kind.NUMBER)), jnp.asarray(g, jnp.float32), jnp.asarray(g, jnp.float32), jnp.full(ROWS, 2)
+    )
+    mean, cov = weights(Psi, solved(Psi, told, noise()))
+    A = Psi[:, 0]
+    exact = np.linalg.inv(A.T @ A / 1e-2 + np.eye(D))
+    np.testing.assert_allclose(cov, exact, atol=1e-3)
+    np.testing.assert_allclose(mean, exact @ A.T @ g / 1e-2, atol=1e-2)
+
+
+def test_the_mean_is_where_the_mean_slope_vanishes():
+    Psi, told = compared("choice")
+    belief = solved(Psi, told, noise(), steps=40)
+    _, cov = weights(Psi, belief)
+    f, std = np.asarray(belief.f), np.sqrt(np.einsum("rd,de,re->r", Psi[:, 0], cov, Psi[:, 0]))
+    draws = np.random.default_rng(0).normal(size=(4001, 1))
+    u = jnp.asarray(f[None] + std[None] * draws, jnp.float32)
+    slope = jax.vmap(lambda u: for_each(jax.grad(log_likelihood), u[:, None], told, noise())[:, 0])(u).mean(axis=0)
+    np.testing.assert_allclose(slope, belief.dual, atol=0.1)
+
+
+def test_rows_without_an_answer_change_nothing():
+    Psi, told = compared("level")
+    filled = jnp.arange(ROWS) < 7
+    spoilt = np.where(np.asarray(filled)[:, None, None], Psi, 3.0)
+    one, other = solved(Psi, told, noise(), filled=filled), solved(spoilt, told, noise(), filled=filled)
+    np.testing.assert_allclose(one.dual[:7], other.dual[:7], atol=1e-5)
+    assert float(one.evidence) == pytest.approx(float(other.evidence), abs=1e-4)
+    assert (np.asarray(other.dual)[7:] == 0).all()
+
+
+def test_more_answers_leave_less_unknown():
+    Psi, told = compared("choice")
+    few, many = (weights(Psi, solved(Psi, told, noise(), filled=jnp.arange(ROWS) < n))[1] for n in (3, ROWS))
+    assert np.trace(many) < np.trace(few) < D
