@@ -20,7 +20,7 @@ from hiprl.models.reward import AdditiveReward, EstimatedReward, clip_sum
 from hiprl.types import Key, Scalar
 
 Pick: TypeAlias = Literal["uniform", "information"]
-NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(16)
+NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
 """Of the expectation over a standard normal."""
 
 

@@ -30,6 +30,8 @@ ROUNDS = 3  # of finding units and mistakes for the reward, and the reward for t
 NEWTON, POLISH = 8, 20  # Newton steps for each candidate, and for the one that is kept
 STARTS = 32  # clips of a trajectory over which its spread is taken
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)  # candidates for the size of a typical difference, where a whole scale is 1
+SURENESS = 2.0  # factor by which a typical difference may well be another size than a whole scale
+BENT = 1.0  # nats that each tenfold greater share of the smooth part has to earn: few answers tell no curves
 KAPPAS = (0.03, 0.1, 0.3)  # candidates for κ where levels have two bounds; else only the ratio to the scale counts
 KAPPA = 0.1
 NUMBER_ERROR = 1e-4  # variance of a number's error, over what the prior gives a number, where kinds are mixed
@@ -96,7 +98,7 @@ def estimate_from_answers(
         wide = lambda x: jnp.asarray(x, jnp.float64)
         said = Said(P.said.kind, wide(P.said.low), wide(P.said.high), P.said.items)
         problem = _problem(wide(Psi), said, P.filled, P.judge, wide(priors))
-        posterior, errors = _posterior(problem, features, T, P, grid=grid, learn_mistakes=learn_mistakes)
+        posterior, errors = _posterior(problem, features, T, P, grid=grid, smooth=smooth, learn_mistakes=learn_mistakes)
         posterior, errors = jax.tree.map(lambda x: x.astype(jnp.float32), (posterior, errors))
     return additive_reward(T, features, *posterior, errors.scale, errors.kappa), errors
 
@@ -160,8 +162,10 @@ def units(features: AdditiveFeatures, mean: Float[Array, " D"], T: Trajectories,
     return jnp.where(newest > 0, jnp.maximum(found / newest, LEAST_UNIT), 1.0)
 
 
-@partial(jax.jit, static_argnames=("grid", "learn_mistakes"))
-def _posterior(problem: Problem, features: AdditiveFeatures, T: Trajectories, P: Preferences, *, grid, learn_mistakes):
+@partial(jax.jit, static_argnames=("grid", "smooth", "learn_mistakes"))
+def _posterior(
+    problem: Problem, features: AdditiveFeatures, T: Trajectories, P: Preferences, *, grid, smooth, learn_mistakes
+):
     """Mean, prior variance and root of θ for the best candidate, and how the judges err."""
     Psi, said, filled, judge, priors, number_unit = problem
     K, J, D = Psi.shape
@@ -204,12 +208,15 @@ def _posterior(problem: Problem, features: AdditiveFeatures, T: Trajectories, P:
     def one_round(carry, _):
         unit, mistakes, _ = carry
         beliefs = jax.vmap(lambda candidate: solve(candidate, unit, mistakes, steps=NEWTON))(candidates)
-        best = jnp.argmax(jnp.where(jnp.isfinite(beliefs.evidence), beliefs.evidence, -jnp.inf))
+        score = beliefs.evidence + log_prior
+        best = jnp.argmax(jnp.where(jnp.isfinite(score), score, -jnp.inf))
         belief, candidate = jax.tree.map(lambda x: x[best], (beliefs, candidates))
         mean = mean_of(candidate, unit, belief).astype(jnp.float32)
         mistakes = erring(candidate, unit, belief, mistakes)
         return (units(features, mean, T, P).astype(Psi.dtype), mistakes, best), None
 
+    bent = jnp.log10(jnp.asarray(smooth) / min(smooth))[candidates.prior]
+    log_prior = -0.5 * (jnp.log(candidates.scale) / jnp.log(SURENESS)) ** 2 - BENT * bent
     start = jnp.ones(K), jnp.full(JUDGES, MISTAKE), jnp.zeros((), int)
     (unit, mistakes, best), _ = jax.lax.scan(one_round, start, length=ROUNDS)
     candidate = jax.tree.map(lambda x: x[best], candidates)

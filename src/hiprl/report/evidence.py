@@ -83,7 +83,8 @@ def as_said(P: Preferences, form: str) -> Preferences:
     """The same answers with less in them: numbers and levels as mere choices."""
     if form == "all":
         return P
-    above, below = P.said.low > 0, P.said.high < 0
+    middle = jnp.clip(P.said.low, -1e9, 1e9) + jnp.clip(P.said.high, -1e9, 1e9)
+    above, below = middle > 0, middle < 0
     level = jnp.where(P.said.kind == 0, 1, P.said.kind)
     low = jnp.where(above, 0.0, -jnp.inf)
     high = jnp.where(below, 0.0, jnp.inf)

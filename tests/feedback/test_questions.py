@@ -1,0 +1,112 @@
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from hiprl.data.answer import choice
+from hiprl.data.preference import Clip, Preferences
+from hiprl.errors import InputError
+from hiprl.feedback.questions import QuestionConfig, expected_information, information, pick_clips
+from hiprl.models.answers import estimate_from_answers
+from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
+from tests.models.worlds import linear_set
+
+H, N, STEPS = 31, 17, 11
+TELLING = QuestionConfig(clip=STEPS, pick="information", levels=2, candidates=200)
+
+
+@pytest.fixture(scope="module")
+def T():
+    return linear_set(5, [H] * 9 + [7], H=H, capacity=N)
+
+
+@pytest.fixture(scope="module")
+def reward(T):
+    P = Preferences.empty(13)
+    for k in range(6):
+        clips = [Clip.at(k, k, STEPS), Clip.at(k + 1, 2 * k, STEPS)]
+        P = P.answered(choice(k % 3 > 0), clips, at_hand=jnp.asarray(9, jnp.int32))
+    return estimate_from_answers(P, T, (0.1,))[0]
+
+
+@pytest.fixture(scope="module")
+def blank(T):
+    return estimate_additive_reward(Preferences.empty(13), T, AdditiveConfig(), steps=16)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_uniform_questions_are_about_the_newest_and_an_older_trajectory(T, blank, seed):
+    clips = pick_clips(T, blank, QuestionConfig(), key=jr.key(seed))
+    assert int(clips.of[0]) == 9 and 0 <= int(clips.of[1]) < 9
+    assert (np.asarray(clips.start) == 0).all() and (np.asarray(clips.length) > H).all()
+
+
+def test_each_older_trajectory_has_its_turn(T, blank):
+    of = [int(pick_clips(T, blank, QuestionConfig(), key=jr.key(seed)).of[1]) for seed in range(100)]
+    assert set(of) == set(range(9))
+
+
+@pytest.mark.parametrize("pick", ["uniform", "information"])
+@pytest.mark.parametrize("items", [1, 2, 4])
+def test_clips_lie_within_their_trajectories(T, reward, pick, items):
+    config = QuestionConfig(clip=STEPS, pick=pick, items=items, levels=2, candidates=64)
+    for seed in range(3):
+        clips = pick_clips(T, reward, config, key=jr.key(seed))
+        assert clips.of.shape == (items,)
+        of, start, length = (np.asarray(x) for x in (clips.of, clips.start, clips.length))
+        lengths = np.asarray(T.rows.length)[of]
+        assert (of < 10).all() and (start >= 0).all() and (length == STEPS).all()
+        assert (start + np.minimum(STEPS, lengths) <= lengths).all()
+
+
+def test_the_question_picked_is_worth_most(T, reward):
+    config = TELLING
+    worth = partial(information, T, reward, config=config)
+    picked = pick_clips(T, reward, config, key=jr.key(3))
+    rng = np.random.default_rng(0)
+    of, start = rng.integers(0, 9, (200, 2)), rng.integers(0, H - STEPS, (200, 2))
+    others = Clip(jnp.asarray(of), jnp.asarray(start), jnp.full((200, 2), STEPS))
+    best = float(worth(jax.tree.map(lambda x: x[None], picked))[0])
+    assert best > np.quantile(np.asarray(worth(others)), 0.8)
+
+
+def test_a_clip_is_never_compared_with_itself(T, reward):
+    clips = Clip(jnp.asarray([[2, 2], [2, 2], [2, 3]]), jnp.asarray([[4, 9], [1, 15], [4, 4]]), jnp.full((3, 2), STEPS))
+    worth = np.asarray(information(T, reward, clips, TELLING))
+    assert worth[0] == -np.inf and np.isfinite(worth[1:]).all()
+
+
+@pytest.mark.parametrize(("mean", "std"), [(0.0, 1.0), (0.5, 0.3), (-2.0, 0.1), (0.1, 3.0)])
+def test_expected_information_of_a_choice_is_its_integral(mean, std):
+    kappa = 0.4
+    p = lambda u: 1 / (1 + np.exp(-u / kappa))
+    h = lambda p: -(p * np.log(p) + (1 - p) * np.log(1 - p)) if 0 < p < 1 else 0.0
+    density = stats.norm(mean, std).pdf
+    reach = (mean - 8 * std, mean + 8 * std)
+    average = integrate.quad(lambda u: p(u) * density(u), *reach, limit=200)[0]
+    left = integrate.quad(lambda u: h(p(u)) * density(u), *reach, limit=200)[0]
+    found = expected_information(jnp.float32(mean), jnp.float32(std), jnp.zeros(1), jnp.float32(kappa))
+    assert float(found) == pytest.approx(h(average) - left, abs=0.02)
+
+
+def test_what_is_known_is_not_worth_asking():
+    tell = lambda mean, std: float(expected_information(*map(jnp.float32, (mean, std)), jnp.zeros(1), jnp.float32(0.1)))
+    assert tell(0.0, 1.0) > tell(1.0, 1.0) > tell(1.0, 0.1) >= -1e-5
+    assert tell(0.0, 1.0) < np.log(2)
+
+
+def test_more_levels_tell_more():
+    two, five = jnp.zeros(1), jnp.asarray([-0.75, -0.25, 0.25, 0.75])
+    of = lambda cuts: float(expected_information(jnp.float32(0.1), jnp.float32(0.6), cuts, jnp.float32(0.1)))
+    assert of(five) > 1.3 * of(two)
+
+
+@pytest.mark.parametrize("wrong", [{"clip": 0}, {"items": 9}, {"levels": 1}, {"candidates": 0}, {"aligned": 1.5}])
+def test_impossible_questions_are_refused(wrong):
+    with pytest.raises(InputError) as caught:
+        QuestionConfig(**wrong)
+    assert str(caught.value).startswith("got ") and str(caught.value).count(". ") >= 1

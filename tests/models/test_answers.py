@@ -1,0 +1,182 @@
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, level, number, ranking, rating, slider
+from hiprl.data.preference import Clip, Preferences
+from hiprl.models.answers import estimate_from_answers
+from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
+from tests.models.worlds import linear_set, steps_of
+
+H, N, K, STEPS = 31, 17, 37, 11
+SMOOTH = (0.01,)
+
+
+@pytest.fixture(scope="module")
+def T():
+    return linear_set(21, [H] * 12, H=H, capacity=N)
+
+
+def truth(s, a):
+    return 2 * s[:, 0] - s[:, 2] + 0.5 * a[:, 1]
+
+
+def paid(T, i, start):
+    s, a = steps_of(T, i)
+    return float(truth(s, a)[start : start + STEPS].sum())
+
+
+def spread(T):
+    return float(np.std([paid(T, i, t) for i in range(12) for t in range(0, H - STEPS, 5)]))
+
+
+def asked(rng, m):
+    return [(int(rng.integers(12)), int(rng.integers(H - STEPS))) for _ in range(m)]
+
+
+def said(form, g, size):
+    """What a judge without error says in this form of clips that return g."""
+    match form:
+        case "number":
+            return number(g[0] - g[1])
+        case "choice":
+            return choice(g[0] > g[1])
+        case "level":
+            return level(float(np.clip(np.round((g[0] - g[1]) / size / 0.5), -2, 2)), 5)
+        case "slider":
+            return slider(float(np.clip((g[0] - g[1]) / size, -1, 1)))
+        case "ranking":
+            return ranking([int(i) for i in np.argsort(-np.asarray(g))])
+        case "rating":
+            return rating(float(np.clip(np.round(g[0] / size / 0.5), -2, 2)), 5)
+    raise AssertionError
+
+
+FORMS = ["number", "choice", "level", "slider", "ranking", "rating"]
+CLIPS = {"ranking": 4, "rating": 1}
+
+
+def answered(T, forms, *, n=K, seed=0, m=4, judge=lambda k: 0, turn=lambda k: False):
+    """P with n answers, in turn of these forms."""
+    rng, P, size = np.random.default_rng(seed), Preferences.empty(K, m=m), spread(T)
+    for k in range(n):
+        form = forms[k % len(forms)]
+        clips = asked(rng, CLIPS.get(form, 2))
+        g = [paid(T, i, t) for i, t in clips]
+        answer = said(form, g[::-1] if turn(k) else g, size)
+        P = P.answered(
+            answer, [Clip.at(i, t, STEPS) for i, t in clips], judge=judge(k), at_hand=jnp.asarray(12, jnp.int32)
+        )
+    return P
+
+
+@pytest.fixture(scope="module")
+def estimated():
+    return lambda P, T, **more: estimate_from_answers(P, T, SMOOTH, **more)
+
+
+def agreement(reward, T):
+    """Correlation of the learned with the true return over all clips."""
+    steps = [steps_of(T, i) for i in range(12)]
+    r = [np.asarray(jax.vmap(reward)(jnp.float32(s), jnp.float32(a))) for s, a in steps]
+    mine = [r[i][t : t + STEPS].sum() for i in range(12) for t in range(0, H - STEPS, 3)]
+    theirs = [paid(T, i, t) for i in range(12) for t in range(0, H - STEPS, 3)]
+    return np.corrcoef(mine, theirs)[0, 1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", FORMS)
+def test_the_reward_is_learned_from_answers_of_one_form(form, T, estimated):
+    reward, _ = estimated(answered(T, [form]), T)
+    assert agreement(reward, T) > 0.93
+
+
+@pytest.mark.slow
+def test_the_reward_is_learned_from_answers_of_all_forms_together(T, estimated):
+    reward, _ = estimated(answered(T, FORMS), T)
+    assert agreement(reward, T) > 0.95
+
+
+@pytest.mark.slow
+def test_numbers_alone_give_what_the_closed_form_gives(T, estimated):
+    P = answered(T, ["number"])
+    reward, _ = estimated(P, T)
+    exact = estimate_additive_reward(P, T, AdditiveConfig(smooth=SMOOTH, noise=(1e-4,)), steps=16)
+    pair = T.clip(Clip.at(3, 2, STEPS)), T.clip(Clip.at(7, 9, STEPS))
+    one, other = reward.gap(*pair), exact.gap(*pair)
+    assert float(one.mean) == pytest.approx(float(other.mean), rel=0.02, abs=0.02)
+
+
+@pytest.mark.slow
+def test_numbers_set_the_unit_also_among_other_answers(T, estimated):
+    reward, _ = estimated(answered(T, ["number", "choice"]), T)
+    pair = T.clip(Clip.at(3, 2, STEPS)), T.clip(Clip.at(7, 9, STEPS))
+    assert float(reward.gap(*pair).mean) == pytest.approx(paid(T, 3, 2) - paid(T, 7, 9), abs=0.1 * spread(T))
+
+
+@pytest.mark.slow
+def test_whoever_cannot_tell_changes_nothing(T, estimated):
+    P = answered(T, ["choice"], n=20)
+    more = P.answered(CANNOT_TELL, [Clip.at(0, 0, STEPS), Clip.at(1, 0, STEPS)], at_hand=jnp.asarray(12, jnp.int32))
+    one, other = (estimated(p, T)[0] for p in (P, more))
+    np.testing.assert_allclose(one.mean, other.mean, rtol=0.05, atol=0.02 * float(jnp.abs(one.mean).max()))
+
+
+@pytest.mark.slow
+def test_only_equal_and_nothing_else_is_absorbed(T, estimated):
+    P = Preferences.empty(K, m=4)
+    for k in range(9):
+        P = P.answered(
+            EQUALLY_GOOD, [Clip.at(k, 0, STEPS), Clip.at(k + 1, 3, STEPS)], at_hand=jnp.asarray(12, jnp.int32)
+        )
+    reward, _ = estimated(P, T)
+    assert np.isfinite(reward.mean).all() and np.isfinite(reward.root).all()
+    assert abs(float(reward.gap(T.get(0), T.get(1)).mean)) < 1e-3
+
+
+@pytest.mark.slow
+def test_a_circle_of_choices_is_absorbed(T, estimated):
+    P = Preferences.empty(K, m=4)
+    for i, j in [(0, 1), (1, 2), (2, 0)] * 3:
+        P = P.answered(choice(True), [Clip.at(i, 0, STEPS), Clip.at(j, 0, STEPS)], at_hand=jnp.asarray(12, jnp.int32))
+    reward, _ = estimated(P, T)
+    assert np.isfinite(reward.mean).all()
+    gap = reward.gap(T.clip(Clip.at(0, 0, STEPS)), T.clip(Clip.at(1, 0, STEPS)))
+    assert abs(float(gap.mean)) < float(gap.sigma)
+
+
+@pytest.mark.slow
+def test_the_judge_who_errs_is_found_out(T, estimated):
+    P = answered(T, ["choice"], judge=lambda k: k % 2, turn=lambda k: k % 4 == 1)
+    _, errors = estimated(P, T, learn_mistakes=True)
+    assert float(errors.mistakes[1]) > 2 * float(errors.mistakes[0])
+
+
+@pytest.mark.slow
+def test_the_unit_of_the_judge_is_what_was_at_hand(T, estimated):
+    P = answered(T, ["level"])
+    early = dataclasses.replace(P, at_hand=jnp.full(K, 12))
+    one, other = estimated(P, T)[0], estimated(early, T)[0]
+    np.testing.assert_allclose(one.mean, other.mean, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_nine_of_ten_gaps_lie_in_their_intervals(T, estimated):
+    inside = []
+    for seed in range(5):
+        P = answered(T, ["choice"], n=20, seed=seed)
+        reward, _errors = estimated(P, T)
+        rng = np.random.default_rng(100 + seed)
+        true, mean, sigma = [], [], []
+        for (i, s), (j, t) in [asked(rng, 2) for _ in range(40)]:
+            gap = reward.gap(T.clip(Clip.at(i, s, STEPS)), T.clip(Clip.at(j, t, STEPS)))
+            true.append(paid(T, i, s) - paid(T, j, t))
+            mean.append(float(gap.mean))
+            sigma.append(float(gap.sigma))
+        true, mean, sigma = map(np.array, (true, mean, sigma))
+        scale = (true @ mean) / (true @ true)  # choices do not tell the unit
+        inside += list(np.abs(scale * true - mean) <= 1.645 * sigma)
+    assert np.mean(inside) > 0.75
