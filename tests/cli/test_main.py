@@ -24,6 +24,7 @@ COMMANDS = {
     "resume": commands.Resume,
     "show": commands.Show,
     "compare": commands.Compare,
+    "relearn": commands.Relearn,
 }
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "commands.md"
 

@@ -16,6 +16,8 @@ Preset: TypeAlias = Literal["default", "paper"]
 Optimism: TypeAlias = Literal["greedy", "thompson", "eta_policy", "eta_sign", "bonus"]
 Search: TypeAlias = Literal["gradient", "ppo"]
 Ask: TypeAlias = Literal["uniform", "information"]
+Features: TypeAlias = Literal["smooth", "linear"]
+Answers: TypeAlias = Literal["all", "choices"]
 Plan: TypeAlias = Literal["none", "sample", "mpc"]
 
 DEFAULT_STORE = "runs/hiprl.db"
@@ -155,9 +157,31 @@ class Compare:
     """End with one JSON object on the last line of stdout; the table goes to stderr."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Relearn:
+    """Learn the reward again from a run's answers, in other ways, and say how well each predicts answers kept from it.
+
+    Nobody is asked anything, and the run stays as it is.
+    """
+
+    run: Annotated[Positional[str], arg(metavar="RUN")]
+    """The run's id, or the start of it."""
+    features: Features = "smooth"
+    """What the reward is made of: a smooth function of each entry of state and action, or their linear parts alone."""
+    answers: Answers = "all"
+    """What of the answers counts: all that was said, or only which clip was better."""
+    folds: Annotated[int, arg(metavar="N")] = 10
+    """Parts into which the answers are put; each is predicted from the others."""
+    store: Store = DEFAULT_STORE
+    """Where the run is kept: a file or an address, as for train."""
+    json: Json = False
+    """End with one JSON object on the last line of stdout; the table goes to stderr."""
+
+
 Command: TypeAlias = (
     Annotated[Train, subcommand("train")]
     | Annotated[Resume, subcommand("resume")]
     | Annotated[Show, subcommand("show")]
     | Annotated[Compare, subcommand("compare")]
+    | Annotated[Relearn, subcommand("relearn")]
 )

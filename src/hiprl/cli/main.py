@@ -11,7 +11,7 @@ from typing import cast
 
 import tyro
 
-from hiprl.cli.commands import Command, Compare, Facts, Resume, Show, Train
+from hiprl.cli.commands import Command, Compare, Facts, Relearn, Resume, Show, Train
 from hiprl.cli.interrupt import INTERRUPTED
 from hiprl.errors import HiprlError, InputError
 
@@ -51,7 +51,7 @@ def read(arguments: Sequence[str]) -> Command:
 
 def do(command: Command) -> Facts:
     """Does what a command says. What that needs takes seconds to import, and is imported here."""
-    from hiprl.cli import showing, training
+    from hiprl.cli import relearning, showing, training
 
     match command:
         case Train():
@@ -62,6 +62,8 @@ def do(command: Command) -> Facts:
             return showing.show(command)
         case Compare():
             return showing.compare(command)
+        case Relearn():
+            return relearning.relearn(command)
 
 
 def run(command: Callable[[], Facts], *, as_json: bool) -> int:

@@ -14,13 +14,9 @@ from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import InputError
 from hiprl.models.estimate import RewardConfig, estimate_reward
 from hiprl.models.quality import Held, cross_validated
-from hiprl.models.reward import AdditiveReward
-from hiprl.spec import from_plain
+from hiprl.models.reward import AdditiveConfig, AdditiveReward
 from hiprl.store.rows import QuestionRow, RunRow
 from hiprl.store.store import Store
-
-LITTLE = 0.05
-"""An answer that is expected to tell less than this, in nats, is hardly worth a person's time."""
 
 
 def evidence_of(store: Store, row: RunRow) -> tuple[Trajectories, Preferences]:
@@ -55,28 +51,11 @@ def clips_of(question: QuestionRow) -> list[Clip]:
     return [Clip.at(clip.of, clip.start, WHOLE if clip.length is None else clip.length) for clip in question.clips]
 
 
-def reward_config(row: RunRow) -> RewardConfig:
-    """How the run itself estimates its reward."""
-    return from_plain(row.spec["config"]["reward"])
-
-
-def relearned(T: Trajectories, P: Preferences, config: RewardConfig) -> AdditiveReward:
-    """The reward learned from these answers, from nothing.
-
-    Raises:
-        InputError: the paper's reward network has no posterior to look at.
-    """
-    reward = estimate_reward(P, T, None, config) if not _is_network(config) else None
-    if not isinstance(reward, AdditiveReward):
-        raise InputError(
-            "got the paper's reward network; only the additive reward can be learned again at once. "
-            "Choose the features: `--features smooth` or `--features linear`."
-        )
+def relearned(T: Trajectories, P: Preferences, config: AdditiveConfig) -> AdditiveReward:
+    """The reward learned from these answers, from nothing."""
+    reward = estimate_reward(P, T, None, config)
+    assert isinstance(reward, AdditiveReward)
     return reward
-
-
-def _is_network(config: RewardConfig) -> bool:
-    return "Network" in type(config).__name__
 
 
 def as_said(P: Preferences, form: str) -> Preferences:
@@ -98,9 +77,9 @@ def as_said(P: Preferences, form: str) -> Preferences:
     return replace(P, said=said)
 
 
-def quality(T: Trajectories, P: Preferences, config: RewardConfig) -> dict[str, Any]:
+def quality(T: Trajectories, P: Preferences, config: RewardConfig, *, folds: int = 10) -> dict[str, Any]:
     """How good the learned reward is, by answers that were kept from it: plain numbers, None where not known."""
-    held: Held = cross_validated(P, T, config)
+    held: Held = cross_validated(P, T, config, folds=folds)
     return {
         "answers": int(P.count),
         "held_out_accuracy": held.mean("right"),

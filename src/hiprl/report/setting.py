@@ -6,9 +6,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from hiprl.config import PRESETS, preset
+from hiprl.config import PRESETS, asking, preset
+from hiprl.feedback.judges import judge_from
 from hiprl.spec import to_plain
 from hiprl.store.rows import RunRow
+
+CUSTOM = "custom"  # a judge that is a function
 
 
 class Setting(NamedTuple):
@@ -41,7 +44,10 @@ def setting(row: RunRow) -> Setting:
 def of_preset(name: str, row: RunRow) -> Mapping[str, Any]:
     """The preset as plain values, with as many comparisons as the run."""
     config, K = preset(name, row.env), row.spec["config"]["comparisons"]
-    return to_plain(replace(config, comparisons=K, warm_up=min(config.warm_up, K)))
+    config = replace(config, comparisons=K, warm_up=min(config.warm_up, K))
+    if row.spec["judge"] != CUSTOM:
+        config = asking(config, judge_from(row.spec["judge"]))
+    return to_plain(config)
 
 
 def departures(usual: Mapping[str, str], stored: Mapping[str, str]) -> dict[str, str]:

@@ -1,0 +1,160 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hiprl.cli.commands import Relearn
+from hiprl.cli.relearning import relearn
+from hiprl.config import Config
+from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, number
+from hiprl.data.preference import Kind
+from hiprl.errors import InputError
+from hiprl.models.quality import cross_validated, shapes
+from hiprl.models.reward import AdditiveConfig
+from hiprl.report.evidence import as_said, consistency, evidence_of, quality, relearned
+from hiprl.spec import to_plain
+from hiprl.store.rows import ClipRow
+from hiprl.store.store import open_store
+from tests.models.worlds import linear_set, steps_of
+
+H, N, STEPS = 31, 11, 13
+LINEAR = AdditiveConfig(smooth=(0.01,), noise=(1e-4,))
+
+
+@pytest.fixture(scope="module")
+def T():
+    return linear_set(8, [H] * N, H=H)
+
+
+def paid(T, clip):
+    s, _ = steps_of(T, clip.of)
+    return float(s[clip.start : clip.start + (clip.length or H), 1].sum())
+
+
+def pairs():
+    rng = np.random.default_rng(2)
+    for k in range(1, N):
+        places = [(k, int(rng.integers(H - STEPS))), (int(rng.integers(k)), int(rng.integers(H - STEPS)))]
+        yield k, [ClipRow(of, start, STEPS) for of, start in places]
+
+
+def stored(path, T, say):
+    """A store with a run that has these trajectories, and what `say` answers about clips of them."""
+    store = open_store(path)
+    spec = {"config": to_plain(Config()), "horizon": H, "judge": "exact"}
+    run = store.add_run("linear", 0, spec, {})
+    for i in range(N):
+        store.add_trajectory(run, i, T.get(i).seen(), "random")
+    for k, clips in pairs():
+        store.ask(run, k, clips)
+        store.answer(run, k, say(*(paid(T, clip) for clip in clips)), "rule")
+    return store, run
+
+
+@pytest.fixture(scope="module")
+def numbers(T, tmp_path_factory):
+    store, run = stored(tmp_path_factory.mktemp("numbers") / "runs.db", T, lambda a, b: number(a - b))
+    with store:
+        yield store, store.run(run)
+
+
+@pytest.fixture(scope="module")
+def evidence(numbers):
+    return evidence_of(*numbers)
+
+
+def test_the_store_gives_trajectories_and_answers_back(evidence, numbers, T):
+    again, P = evidence
+    assert int(again.count) == N and int(P.count) == N - 1
+    np.testing.assert_array_equal(again.rows.actions[:N], T.rows.actions[:N])
+    for k, clips in pairs():
+        np.testing.assert_array_equal(P.clips.of[k - 1], [clip.of for clip in clips])
+        np.testing.assert_array_equal(P.clips.start[k - 1], [clip.start for clip in clips])
+        assert float(P.g[k - 1]) == pytest.approx(paid(T, clips[0]) - paid(T, clips[1]), rel=1e-5)
+
+
+def test_a_corrected_answer_is_the_one_that_counts(T, tmp_path):
+    store, run = stored(tmp_path / "runs.db", T, lambda a, b: number(a - b))
+    with store:
+        store.answer(run, 3, number(77.0), "rule")
+        _, P = evidence_of(store, store.run(run))
+    assert float(P.g[2]) == 77.0 and int(P.count) == N - 1
+
+
+def test_a_run_without_answers_is_refused(tmp_path):
+    with open_store(tmp_path / "runs.db") as store:
+        run = store.add_run("linear", 0, {"config": to_plain(Config()), "horizon": H, "judge": "exact"}, {})
+        with pytest.raises(InputError, match=r"has no answers yet; .*hiprl resume"):
+            evidence_of(store, store.run(run))
+
+
+def test_the_reward_is_learned_again(evidence, T):
+    again, P = evidence
+    reward = relearned(again, P, LINEAR)
+    gap = reward.gap(again.get(4), again.get(7))
+    assert float(gap.mean) == pytest.approx(paid(T, ClipRow(4)) - paid(T, ClipRow(7)), rel=0.1, abs=1.0)
+
+
+def test_kept_answers_are_predicted_from_the_others(evidence):
+    again, P = evidence
+    found = quality(again, P, LINEAR, folds=5)
+    assert found["answers"] == N - 1 and found["held_out_accuracy"] >= 0.8
+    assert 0.5 <= found["coverage_90"] <= 1 and np.isfinite(found["held_out_log_likelihood"])
+    assert found["consistency"] is None  # nothing was asked twice
+
+
+def test_noise_is_not_predicted(evidence):
+    again, P = evidence
+    rng = np.random.default_rng(0)
+    said = type(P.said)(P.said.kind, *[jnp.asarray(rng.normal(size=P.capacity), jnp.float32)] * 2, P.said.items)
+    noise = type(P)(said, P.clips, P.judge, P.at_hand, P.count)
+    held, true = (cross_validated(p, again, LINEAR, folds=5) for p in (noise, P))
+    assert held.mean("log_likelihood") < true.mean("log_likelihood")
+
+
+def test_numbers_can_count_as_choices(evidence):
+    _again, P = evidence
+    Q = as_said(P, "choices")
+    n = int(P.count)
+    assert (np.asarray(Q.said.kind)[:n] == Kind.LEVEL).all()
+    np.testing.assert_array_equal(np.asarray(Q.said.low)[:n] == 0, np.asarray(P.g)[:n] > 0)
+    assert as_said(P, "all") is P
+    np.testing.assert_array_equal(as_said(Q, "choices").said.low[:n], Q.said.low[:n])
+
+
+def test_the_view_of_a_reward_shows_what_it_goes_by(evidence):
+    again, P = evidence
+    found = shapes(relearned(again, P, LINEAR), again)
+    assert int(np.argmax(found.weight)) == 1  # the truth is the second entry of the state
+    slope = np.gradient(np.asarray(found.mean[1]), np.asarray(found.x[1]))
+    assert np.median(slope) == pytest.approx(1.0, abs=0.2)
+    assert (np.asarray(found.std) >= 0).all()
+
+
+def test_a_judge_who_contradicts_himself_is_told(evidence):
+    _again, P = evidence
+    clips = [type(P.clips)(*(x[0, i] for x in (P.clips.of, P.clips.start, P.clips.length))) for i in range(2)]
+    empty = P.only(np.arange(0))
+    at_hand = jnp.asarray(N, jnp.int32)
+    said = lambda first, second: empty.answered(choice(first), clips, at_hand=at_hand).answered(
+        choice(second), clips[::-1], at_hand=at_hand
+    )
+    assert consistency(said(True, False)) == 1 and consistency(said(True, True)) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "say",
+    [lambda a, b: choice(a > b), lambda a, b: EQUALLY_GOOD, lambda a, b: CANNOT_TELL],
+    ids=["choice", "equal", "unsure"],
+)
+def test_the_command_takes_any_answers(T, tmp_path, capsys, say):
+    store, run = stored(tmp_path / "runs.db", T, say)
+    store.close()
+    facts = relearn(Relearn(run=run[:4], store=str(tmp_path / "runs.db"), folds=3))
+    shown = capsys.readouterr().out
+    assert facts["answers"] == N - 1 and run in shown and "goes by" in shown
+
+
+def test_one_fold_is_refused(tmp_path):
+    with pytest.raises(InputError, match="at least 2 are needed"):
+        relearn(Relearn(run="x", folds=1))
