@@ -65,12 +65,12 @@ def headline(run: Record) -> str:
     if run.final is None or run.final["return_mean"] is None:
         return words
     mean, std, n = (run.final[name] for name in ("return_mean", "return_std", "eval_episodes"))
-    return f"{words} → return {number(mean)} ± {number(std)} over {n} episodes"
+    return f"{words} → return {number(mean)} ± {number(std, beside=mean)} over {n} episodes"
 
 
-def number(x: float) -> str:
-    """A return with as many digits as say something."""
-    return f"{x:.0f}" if abs(x) >= 100 else f"{x:.3g}"
+def number(x: float, *, beside: float = 0.0) -> str:
+    """A return with as many digits as say something, and no more than what it stands beside."""
+    return f"{x:.0f}" if max(abs(x), abs(beside)) >= 100 else f"{x:.3g}"
 
 
 def draw(panel: Panel, axes: Axes, run: Record) -> None:

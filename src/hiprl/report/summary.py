@@ -26,7 +26,7 @@ def summary(record: Record) -> Facts:
         "finished": record.final is not None,
         "comparisons": last.get("comparisons", 0),
         "planned_comparisons": record.planned,
-        "env_steps": last.get("env_steps", 0),
+        "env_steps": final.get("env_steps", last.get("env_steps", 0)),
         "return_mean": final.get("return_mean"),
         "return_std": final.get("return_std"),
         "eval_episodes": final.get("eval_episodes"),
