@@ -16,7 +16,7 @@ from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
 from tests.models.worlds import linear_set
 
 H, N, STEPS = 31, 17, 11
-TELLING = QuestionConfig(clip=STEPS, pick="information", levels=2, candidates=200)
+TELLING = QuestionConfig(clip=STEPS, pick="information", levels=2, candidates=200, aligned=0.0)
 
 
 @pytest.fixture(scope="module")
