@@ -148,7 +148,7 @@ def propose(run: Run, world: World, config: Config, *, key: Key) -> Question:
     ends = ends_of(run, world)
     more = {"setbacks": setbacks, "key": search_key}
     state, report = search(f_tilde, run.reward, ends, run.T, state, config.search, **more)  # eq. (6)
-    acting = planned(state, f_tilde, run.reward, ends, config.plan, q=world.q, gamma=config.search.gamma)
+    acting = planned(state, f_tilde, run.reward, ends, config.plan, q=world.q, gamma=config.search.discount(world.H))
     tau = world.roll_out(acting, key=world_key)  # plans (a, η), executes a
     return Question(tau, asked(run.T.add(tau)), state, report, searched=True)
 
@@ -276,5 +276,5 @@ def actor_of(run: Run, i: Count, world: World, config: Config) -> Actor:
     state = run.archive.get(i)
     if config.plan.kind == "mpc":
         f_tilde, ends = hallucinated(run, config), ends_of(run, world)
-        return planned(state, f_tilde, run.reward, ends, config.plan, q=world.q, gamma=config.search.gamma)
+        return planned(state, f_tilde, run.reward, ends, config.plan, q=world.q, gamma=config.search.discount(world.H))
     return Follow(state.policy, world.q, explore=False)

@@ -168,6 +168,12 @@ def test_a_search_goes_less_far_from_where_others_went_wrong():
     np.testing.assert_array_equal(half, none)
 
 
+@pytest.mark.parametrize(("H", "gamma"), [(31, 0.99), (500, 0.99), (800, 0.99375), (1000, 0.995), (10_000, 0.995)])
+def test_long_episodes_are_looked_further_into(H, gamma):
+    assert GradientConfig().discount(H) == pytest.approx(gamma)
+    assert CONFIG.discount(H) == CONFIG.gamma
+
+
 def test_scalers_are_not_trained(search):
     state, _ = found(search, known(), quadratic(R=np.eye(q), c=TWO))
     np.testing.assert_array_equal(state.policy.inputs.mean, starts().scaler.mean)

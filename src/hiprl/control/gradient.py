@@ -48,8 +48,8 @@ class GradientConfig:
     """Learning rate of the value (Adam)."""
     value_updates: int = 4
     """Updates of the value for each of the policy."""
-    gamma: float = 0.995
-    """Discount a step."""
+    gamma: float | None = None
+    """Discount a step; None for 1 - 5/H, between 0.99 and 0.995: long episodes need a longer sight."""
     lambda_: float = 1.0
     """TD(λ): 0 trusts the value after one step, 1 the whole imagined rollout."""
     entropy: float = 1e-3
@@ -64,6 +64,10 @@ class GradientConfig:
     """Length of the longer trial after each chunk."""
     trial_starts: int = 8
     """Trials in each member."""
+
+    def discount(self, H: int) -> float:
+        """γ in episodes of at most H steps."""
+        return min(max(1 - 5 / H, 0.99), 0.995) if self.gamma is None else self.gamma
 
 
 def new_gradient(inputs: Scaler, size: int, config: GradientConfig, *, key: Key) -> SearchState:
@@ -101,7 +105,8 @@ def gradient_search(
         setbacks: searches from `state` that went wrong in the world; for each this one is half as long, down to
             a quarter.
     """
-    scale = unit / (1 - config.gamma)
+    gamma = config.discount(H)
+    scale = unit / (1 - gamma)
     policy, value = state.policy.rescaled(starts.scaler), state.value.rescaled(starts.scaler, scale)
     worlds, axis = f_tilde.worlds()
     M = stacked_size(f_tilde.dynamics.members())
@@ -125,7 +130,7 @@ def gradient_search(
 
         def backward(after: Scalar, now: tuple[Scalar, Scalar, Scalar]):
             r, on, v = now
-            ret = r + config.gamma * on * ((1 - config.lambda_) * v + config.lambda_ * after)
+            ret = r + gamma * on * ((1 - config.lambda_) * v + config.lambda_ * after)
             return ret, ret
 
         _, returns = jax.lax.scan(backward, v_next[-1], (r, on, v_next), reverse=True)

@@ -74,6 +74,11 @@ class PPOConfig:
         """Steps of each rollout in one iteration."""
         return self.n_steps // self.rollouts
 
+    def discount(self, H: int) -> float:
+        """γ, whatever the horizon."""
+        del H
+        return self.gamma
+
 
 def new_ppo(inputs: Scaler, size: int, config: PPOConfig, *, key: Key) -> SearchState:
     """A policy that acts at random around zero, and a value that knows nothing."""
