@@ -14,7 +14,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input -c constraints.txt
 
-DEMO = $(BIN)/hiprl train InvertedPendulum-v5 --comparisons 10 --store runs/demo.db \
+DEMO = $(BIN)/hiprl train InvertedPendulum-v5 --comparisons 12 --store runs/demo.db \
     && $(BIN)/hiprl show --store runs/demo.db
 
 help:

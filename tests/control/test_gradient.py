@@ -163,7 +163,7 @@ def test_a_search_goes_less_far_from_where_others_went_wrong():
     whole, half, quarter, none = (
         modes(search(blank(), jr.key(2), jnp.asarray(setbacks))[0], starts().seen) for setbacks in (0, 1, 2, 40)
     )
-    assert (whole != half).any()  # two chunks, then one, and never less
+    assert (whole != half).any()  # two chunks, then one, and no less
     np.testing.assert_array_equal(half, quarter)
     np.testing.assert_array_equal(half, none)
 

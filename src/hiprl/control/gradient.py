@@ -102,8 +102,7 @@ def gradient_search(
         starts: where rollouts begin.
         state: policy and value of the search before.
         H: most steps in an episode; a trial lasts no longer.
-        setbacks: searches from `state` that went wrong in the world; for each this one is half as long, down to
-            a quarter.
+        setbacks: searches from `state` that went wrong in the world; after any, this one is half as long.
     """
     gamma = config.discount(H)
     scale = unit / (1 - gamma)
@@ -199,7 +198,7 @@ def gradient_search(
     learner = (policy, value, value, descent(policy_opt, policy), descent(value_opt, value))
     carry = (learner, SearchState(policy, value), SearchReport.nothing(), key)
     # A policy near one that holds in the world is likelier to hold there: the model is at fault further away.
-    length = jnp.maximum(config.chunks >> jnp.minimum(setbacks, 2), 1)
+    length = jnp.maximum(config.chunks >> jnp.minimum(setbacks, 1), 1)
     _, best, report, _ = jax.lax.fori_loop(0, length, chunk, carry)
     return best, report
 
