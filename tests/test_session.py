@@ -7,7 +7,8 @@ import pytest
 
 from hiprl.control.imagined import SearchReport
 from hiprl.errors import FitDiverged, InputError, JudgeError, WorldError
-from hiprl.feedback.judges import Judging, exact, judge_from
+from hiprl.feedback.judges import exact, judge_from
+from hiprl.feedback.judging import Judging
 from hiprl.session import RunSpec, carry_on, finite_or_none, learned_actor, spec_of, start
 from hiprl.store.store import open_store
 from hiprl.world.build import world_from

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hiprl.data.answer import Answer
     from hiprl.data.trajectory import Trajectory
     from hiprl.errors import FitDiverged, HiprlError, InputError, JudgeError, StoreError, WorldError
-    from hiprl.feedback.judges import Judge
+    from hiprl.feedback.judging import Judge
     from hiprl.world.build import world_from
     from hiprl.world.task import World
 
@@ -35,7 +35,7 @@ _HOMES = {
     "JudgeError": "hiprl.errors",
     "StoreError": "hiprl.errors",
     "WorldError": "hiprl.errors",
-    "Judge": "hiprl.feedback.judges",
+    "Judge": "hiprl.feedback.judging",
     "world_from": "hiprl.world.build",
     "World": "hiprl.world.task",
 }

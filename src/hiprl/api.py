@@ -13,7 +13,8 @@ from jaxtyping import ArrayLike
 
 from hiprl.config import Config, asking
 from hiprl.errors import InputError
-from hiprl.feedback.judges import Judge, Judging, judge_from
+from hiprl.feedback.judges import judge_from
+from hiprl.feedback.judging import Judge, Judging
 from hiprl.feedback.questions import Pick
 from hiprl.session import Facts, RunSpec, Watch, carry_on, learned_actor, refuse_finished, start
 from hiprl.store.rows import RunRow

@@ -10,7 +10,7 @@ from hiprl.control.plan import PlanConfig
 from hiprl.control.ppo import PPOConfig
 from hiprl.control.search import SearchConfig
 from hiprl.errors import InputError
-from hiprl.feedback.judges import Judging
+from hiprl.feedback.judging import Judging
 from hiprl.feedback.questions import Pick, QuestionConfig
 from hiprl.hallucinated import OPTIMISM, Optimism
 from hiprl.models.dynamics import DynamicsConfig

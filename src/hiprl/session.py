@@ -38,7 +38,7 @@ from hiprl.data.answer import Answer
 from hiprl.data.preference import WHOLE, Clip
 from hiprl.errors import FitDiverged, InputError, JudgeError
 from hiprl.evaluate import episodes, true_returns
-from hiprl.feedback.judges import Judging, checked
+from hiprl.feedback.judging import Judging, checked
 from hiprl.models.calibration import rollout_errors
 from hiprl.spec import from_plain, to_plain, versions
 from hiprl.store.arrays import pack, unpack

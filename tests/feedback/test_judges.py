@@ -14,17 +14,8 @@ from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, Answer, choice, level, 
 from hiprl.data.preference import Clip
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import InputError, JudgeError
-from hiprl.feedback.judges import (
-    SCRIPTED,
-    Judging,
-    checked,
-    exact,
-    judge_from,
-    nearest_level,
-    noisy,
-    plackett_luce_order,
-    spread,
-)
+from hiprl.feedback.judges import SCRIPTED, exact, judge_from, nearest_level, noisy, plackett_luce_order, spread
+from hiprl.feedback.judging import Judging, checked
 from tests.data.samples import H, p, q, seeds, set_of, trajectory
 
 PAIRWISE = ["exact", "choice", "graded:levels=4", "graded", "slider"]

@@ -2,7 +2,8 @@ import pytest
 
 from hiprl.data.answer import number
 from hiprl.errors import InputError, JudgeError
-from hiprl.feedback.judges import Judging, exact, judge_from
+from hiprl.feedback.judges import exact, judge_from
+from hiprl.feedback.judging import Judging
 from hiprl.session import RunSpec, carry_on, start
 from hiprl.store.store import open_store
 from hiprl.world.build import world_from

@@ -15,7 +15,8 @@ from hiprl.cli.progress import duration, progress
 from hiprl.config import Config, asking, paper, preset
 from hiprl.control.gradient import GradientConfig
 from hiprl.errors import InputError
-from hiprl.feedback.judges import Judging, judge_from
+from hiprl.feedback.judges import judge_from
+from hiprl.feedback.judging import Judging
 from hiprl.report.tensorboard import EventFiles, event_folder
 from hiprl.session import RunSpec, carry_on, refuse_finished, spec_of, start
 from hiprl.store.store import Store, open_store

@@ -115,8 +115,7 @@ def _with_ratings(features: AdditiveFeatures, T: Trajectories, P: Preferences, P
         count = jnp.maximum(jnp.sum(jnp.where(there, T.rows.length, 0)), 1)
         return jnp.sum(jnp.where(there[:, None], sums, 0.0), axis=0) / count
 
-    H = T.rows.actions.shape[1]
-    shown = jax.vmap(lambda clip: summed(features, T.clip(clip)))(clips) if H else Psi[:, 0]
+    shown = jax.vmap(lambda clip: summed(features, T.clip(clip)))(clips)
     against = shown - steps[:, None] * jax.vmap(average)(P.at_hand)
     rated = P.filled & (P.said.kind == Kind.RATING)
     return Psi.at[:, 0].set(jnp.where(rated[:, None], against, Psi[:, 0]))
