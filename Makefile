@@ -24,6 +24,7 @@ demo: .venv/.installed
 	@mkdir -p runs
 	$(DEMO)
 	@echo "Next: $(BIN)/hiprl train HalfCheetah-v5   (learns to run from 30 comparisons; six to ten minutes)"
+	@echo "  or: $(BIN)/hiprl teach HalfCheetah-v5   (you compare clips in the browser, and it learns what you want)"
 
 test: .venv/.installed-dev
 	$(BIN)/python -m pytest -m "not slow"

@@ -61,15 +61,14 @@ def one_task(task: str, options: argparse.Namespace, report: Report) -> None:
     from benchmarks.setting import setting
     from hiprl.config import Config, paper
     from hiprl.control.gradient import GradientConfig
-    from hiprl.models.reward_network import NetworkConfig
 
     key = jr.key(options.seed)
-    config = replace(paper(task), reward=NetworkConfig(members=1))  # the paper's one reward network
+    config = paper(task)
     ppo = config.search
     if options.quick:
         ppo = replace(ppo, total_timesteps=4 * ppo.n_steps, trial_steps=20)
         config = replace(config, dynamics=replace(config.dynamics, cold_steps=100), search=ppo)
-    made = setting(task, config, key=key)
+    made = one_reward_network(setting(task, config, key=key))
     p, q = made.world.p, made.world.q
     about = {"task": task, "p": p, "q": q}
     sb3 = None
@@ -101,6 +100,14 @@ def one_task(task: str, options: argparse.Namespace, report: Report) -> None:
     compile_s, took = search_by_us(made, gradient, key=key, repeats=repeats)
     steps = gradient.chunks * gradient.updates * config.dynamics.M * gradient.rollouts * gradient.steps
     report.add(**about, search="hiprl gradient, default", **numbers(steps, compile_s, took, None))
+
+
+def one_reward_network(made: Setting) -> Setting:
+    """The paper's one network in place of the several that give σ_g: the other side computes one."""
+    import jax
+
+    reward = made.reward
+    return made._replace(reward=replace(reward, nets=jax.tree.map(lambda x: x[:1], reward.nets)))
 
 
 def numbers(steps: int, compile_s: float, took: Timed, sb3: dict[str, Any] | None) -> dict[str, Any]:

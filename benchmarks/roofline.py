@@ -200,13 +200,12 @@ def measure(options: argparse.Namespace) -> Iterator[Measured]:
     from hiprl.config import Config, paper
     from hiprl.control.search import search
     from hiprl.models.dynamics import estimate_dynamics
-    from hiprl.models.reward_network import NetworkConfig
 
     jax.config.update("jax_enable_compilation_cache", False)
     key = jr.key(options.seed)
     repeats = 1 if options.quick else options.repeats
     default = Config(optimism=options.optimism) if options.optimism else Config()
-    for preset, config in ("default", default), ("paper", replace(paper(options.env), reward=NetworkConfig())):
+    for preset, config in ("default", default), ("paper", paper(options.env)):
         model, searching = replace(config.dynamics, patience=10**6), config.search
         if options.quick:
             model = replace(model, cold_steps=200, warm_steps=200)
@@ -215,11 +214,12 @@ def measure(options: argparse.Namespace) -> Iterator[Measured]:
         made = setting(options.env, replace(config, dynamics=model, search=searching), key=key)
         p, q = made.world.p, made.world.q
 
+        jax.clear_caches()  # the setting has built the same program
         progress(f"{preset}: fit of the ensemble")
         steps = model.warm_steps
         program, compile_s = compiled(estimate_dynamics.lower(made.T, made.dynamics, model, steps=steps, key=key))
-        program(made.T, made.dynamics, key=key)
-        took = timed(lambda: program(made.T, made.dynamics, key=key), repeats=repeats)  # noqa: B023
+        program(made.T, made.dynamics, steps=steps, key=key)
+        took = timed(lambda: program(made.T, made.dynamics, steps=steps, key=key), repeats=repeats)  # noqa: B023
         yield Measured(f"{preset}: fit", "gradient step", fit_work(model, p, q), steps, compile_s, took)
 
         progress(f"{preset}: search")

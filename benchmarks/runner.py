@@ -184,8 +184,7 @@ def by_hiprl(job: Job, path: Path) -> Outcome:
 
 def reported(episodes: Sequence[Outcome]) -> list[float | None]:
     """After each comparison, the executed return of the policy that would then be reported; None in the warm-up."""
-    returns = {facts["k"]: facts["true_return"] for facts in episodes}  # episode k is trajectory k
-    return [returns.get(facts["best_trajectory"]) if facts["searched"] else None for facts in episodes]
+    return [facts.get("best_return") for facts in episodes]
 
 
 def by_sb3(job: Job) -> Outcome:

@@ -7,7 +7,18 @@ import jax.random as jr
 import numpy as np
 import pytest
 
-from hiprl.algorithm import begin, best_actor, confirmed, episode, learn, number_of, propose, restart, scored
+from hiprl.algorithm import (
+    begin,
+    best_actor,
+    confirmed,
+    episode,
+    expected,
+    learn,
+    number_of,
+    propose,
+    restart,
+    scored,
+)
 from hiprl.control.plan import Follow, Mpc, PlanConfig
 from hiprl.data.answer import number
 from hiprl.errors import FitDiverged
@@ -76,12 +87,12 @@ def test_each_episode_adds_one_trajectory_and_one_answer(runs):
 def test_the_warm_up_is_random_and_the_rest_is_searched(runs):
     known, done = runs
     # τ_0 is the first of the warm-up's trajectories
-    assert [x.question.searched for x in done] == [k >= TINY.warm_up for k in range(1, TINY.comparisons + 1)]
+    assert [x.question.attempt.searched for x in done] == [k >= TINY.warm_up for k in range(1, TINY.comparisons + 1)]
     np.testing.assert_array_equal(known[-1].archive.filled, np.arange(TINY.comparisons + 1) >= TINY.warm_up)
 
 
 def test_comparisons_in_the_warm_up_count(runs):
-    assert sum(not done.question.searched for done in runs[1]) == TINY.warm_up - 1
+    assert sum(not done.question.attempt.searched for done in runs[1]) == TINY.warm_up - 1
     assert int(runs[0][-1].P.count) == TINY.comparisons
 
 
@@ -156,12 +167,44 @@ def test_the_true_return_decides_nothing(runs, world):
 
 
 def test_a_search_begins_at_the_best_or_at_the_newest_policy(runs):
-    run = upside_down(runs[0][-1])
-    best = int(run.archive.best(run.reward.returns(run.T)))
+    either = runs[0][-1], upside_down(runs[0][-1])  # the newest is the best of at most one of them
+    best = lambda run: int(run.archive.best(run.reward.returns(run.T)))
+    run = min(either, key=best)
+    best = best(run)
     state, setbacks = restart(run, TINY)
     assert same(state, run.archive.get(best)) and int(setbacks) == TINY.comparisons - best > 0
     state, setbacks = restart(run, replace(TINY, restart=False))
     assert same(state, run.archive.get(TINY.comparisons)) and int(setbacks) == 0
+
+
+def test_a_search_begins_anew_where_the_best_policy_stays_worse_than_random_actions(runs):
+    run = runs[0][-1]
+    searched = np.asarray(run.archive.filled)
+    first = int(np.flatnonzero(searched)[0])
+
+    class Told(type(run.reward)):
+        """A reward that pays trajectories as it is told."""
+
+        told: jax.Array
+
+        def returns(self, T):
+            return self.told
+
+    def begins(random, policies):
+        returns = np.full(len(searched), random, float)
+        returns[searched] = policies
+        parts = {name: getattr(run.reward, name) for name in run.reward.__dataclass_fields__}
+        reward = Told(**parts, told=jnp.asarray(returns, jnp.float32))
+        return restart(eqx.tree_at(lambda run: run.reward, run, reward), TINY)
+
+    n = int(searched.sum())
+    worse = [-5.0, *[-9.0] * (n - 1)]  # the first policy is the best of them, and no later one was better
+    state, setbacks = begins(0.0, worse)
+    assert same(state, run.archive.get(0)) and int(setbacks) == 0
+    state, setbacks = begins(-7.0, worse)  # random actions were worse still
+    assert same(state, run.archive.get(first)) and int(setbacks) == n - 1
+    state, setbacks = begins(0.0, worse[::-1])  # the newest one is the best: that may go on
+    assert same(state, run.archive.get(run.T.last)) and int(setbacks) == 0
 
 
 def test_the_first_search_has_no_setbacks(runs):
@@ -204,47 +247,65 @@ def test_a_run_that_plans_keeps_its_planner(runs, world):
     assert isinstance(drawn, Follow) and not drawn.explore
 
 
-def test_an_episode_is_scored_by_the_models_that_did_not_know_it(runs):
+def test_an_answer_is_expected_by_the_reward_that_did_not_know_it(runs):
     known, done = runs
     question, g = done[4].question, number_of(done[4].answer)
-    scores = scored(known[4], question, g, TINY)
     gap = known[4].reward.gap(question.tau, known[4].T.get(question.clips.of[1]))
-    assert float(scores.predicted.mean) == pytest.approx(float(gap.mean), rel=1e-3, abs=1e-3)
+    assert float(expected(known[4], question).mean) == pytest.approx(float(gap.mean), rel=1e-3, abs=1e-3)
     z = abs(float(g) - float(gap.mean)) / float(gap.sigma)
     count = int(known[4].calibration.count)
-    assert float(scores.calibration.z[count]) == pytest.approx(z, rel=1e-2)
-    assert same(known[5].calibration, scores.calibration)
+    assert float(known[5].calibration.z[count]) == pytest.approx(z, rel=1e-2)
 
 
 def test_a_prediction_before_any_answer_does_not_count(runs):
     known, done = runs
-    after = scored(known[0], done[0].question, number_of(done[0].answer), TINY).calibration
+    assert np.isnan(expected(known[0], done[0].question).mean)
+    after = known[1].calibration
     assert int(after.count) == 0 and float(after.alpha) == 1
     assert float(known[-1].calibration.alpha) < 1e3
 
 
-def promising(question, promised):
-    return eqx.tree_at(lambda question: question.report.imagined, question, jnp.asarray(promised))
+def test_an_episode_is_scored_by_the_models_that_did_not_know_it(runs):
+    known, done = runs
+    scores = scored(known[4], done[4].question.attempt, TINY)
+    np.testing.assert_array_equal(known[5].calibration.beta, scores.errors.beta)
+    assert float(scores.errors.deviation) > 0
+
+
+def promising(new, promised):
+    return eqx.tree_at(lambda new: new.report.imagined, new, jnp.asarray(promised))
 
 
 def test_kappa_is_halved_when_imagination_promised_over_three_times_too_much(runs):
     known, done = runs
-    question, g = done[4].question, number_of(done[4].answer)
-    executed = float(scored(known[4], question, g, TINY).executed)
+    new = done[4].question.attempt
+    executed = float(scored(known[4], new, TINY).executed)
     before = float(known[4].calibration.kappa)
-    kept = scored(known[4], promising(question, executed + 2.9 * abs(executed)), g, TINY)
-    broken = scored(known[4], promising(question, executed + 3.1 * abs(executed)), g, TINY)
+    kept = scored(known[4], promising(new, executed + 2.9 * abs(executed)), TINY)
+    broken = scored(known[4], promising(new, executed + 3.1 * abs(executed)), TINY)
     assert not kept.overpromised and float(kept.calibration.kappa) == pytest.approx(before)
     assert broken.overpromised and float(broken.calibration.kappa) == pytest.approx(before / 2)
 
 
 def test_the_executed_return_is_over_as_many_steps_as_the_trial(runs):
     known, done = runs
-    question = done[4].question
-    s, a = (np.asarray(x)[: TINY.search.trial_steps] for x in (question.tau.states, question.tau.actions))
+    new = done[4].question.attempt
+    s, a = (np.asarray(x)[: TINY.search.trial_steps] for x in (new.tau.states, new.tau.actions))
     r = jax.vmap(known[4].reward)(jnp.asarray(s), jnp.asarray(a))
-    executed = scored(known[4], question, number_of(done[4].answer), TINY).executed
-    assert float(executed) == pytest.approx(float(np.sum(r)), rel=1e-3)
+    assert float(scored(known[4], new, TINY).executed) == pytest.approx(float(np.sum(r)), rel=1e-3)
+
+
+def test_practice_adds_trajectories_that_nobody_is_asked_about(runs, world):
+    config = replace(TINY, practice=2)
+    run = begin(world, config, key=jr.key(5))
+    for k in range(1, config.comparisons + 1):
+        done = episode(run, world, config, ask, key=jr.key(5))
+        run = done.run
+        assert int(run.T.count) == config.number_after(k) == k + 1 + 2 * max(0, k - config.warm_up + 1)
+        assert int(done.question.clips.of[0]) == config.number_after(k - 1)  # it is about its own episode
+    assert int(run.P.count) == config.comparisons and int(run.T.count) == run.T.capacity
+    np.testing.assert_array_equal(run.archive.filled, np.arange(run.T.capacity) >= config.warm_up)
+    assert same(run.T.get(config.warm_up - 1), runs[0][-1].T.get(config.warm_up - 1))  # the warm-up is the same
 
 
 def test_the_first_trajectory_and_the_episodes_draw_from_different_keys(runs, world):

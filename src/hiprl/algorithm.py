@@ -38,6 +38,7 @@ from hiprl.types import Actor, Count, Flag, Key, Scalar
 from hiprl.world.task import World
 
 BEGINNING = (1 << 30) - 1  # folded into the run's key before the loop; no run has as many episodes
+LOST = 2  # setbacks at a policy that is worse than random actions, after which a search begins anew
 OVERPROMISE = 3.0  # times the executed return, by which imagination may exceed it before κ is halved
 
 
@@ -55,18 +56,29 @@ class Run(eqx.Module):
     """The searches behind the trajectories of T."""
 
 
-class Question(eqx.Module):
-    """A new trajectory, and what of it and of T is to be compared."""
+class Attempt(eqx.Module):
+    """An episode in the world, and the search behind it."""
 
     tau: Trajectory
-    clips: Clip
-    """A stack: what is shown, in order. The new trajectory is the one after the last of T."""
     state: SearchState
     """The search whose policy was executed."""
     report: SearchReport
     """What that search believes to have reached."""
     searched: bool = eqx.field(static=True)
     """False in the warm-up, where the actions are random."""
+
+
+class Question(eqx.Module):
+    """A new trajectory, and what of it and of T is to be compared."""
+
+    attempt: Attempt
+    clips: Clip
+    """A stack: what is shown, in order. The new trajectory is the one after the last of T."""
+
+    @property
+    def tau(self) -> Trajectory:
+        """The new trajectory."""
+        return self.attempt.tau
 
     @property
     def shown(self) -> tuple[Clip, ...]:
@@ -92,13 +104,11 @@ class Episode(NamedTuple):
 
 
 class Scores(eqx.Module):
-    """What an episode and its answer say about the models that did not know them yet."""
+    """What an episode says about the models that did not know it yet."""
 
     calibration: Calibration
     """Taken on with the run."""
     errors: ModelErrors
-    predicted: Gap
-    """What r̂ expected the answer to be."""
     executed: Scalar
     """Return by r̂ of what was executed, over as many steps as the search tried its policy for in imagination."""
     overpromised: Flag
@@ -125,7 +135,7 @@ def nothing_known(T: Trajectories, config: Config, *, key: Key) -> Run:
 
 def no_trajectories(world: World, config: Config) -> Trajectories:
     """T = ∅ with room for all that a run will execute."""
-    return Trajectories.empty(config.comparisons + 1, H=world.H, p=world.p, q=world.q)
+    return Trajectories.empty(config.trajectories, H=world.H, p=world.p, q=world.q)
 
 
 def begin(world: World, config: Config, *, key: Key) -> Run:
@@ -135,22 +145,35 @@ def begin(world: World, config: Config, *, key: Key) -> Run:
     return nothing_known(no_trajectories(world, config).add(tau_0), config, key=model_key)
 
 
-def propose(run: Run, world: World, config: Config, *, key: Key) -> Question:
-    """Acts for one episode and picks what to compare."""
-    search_key, world_key, pick_key = jr.split(key, 3)
-    asked = partial(pick_clips, reward=run.reward, config=config.question, key=pick_key)  # τ′ ~ T, or the most telling
+def attempt(run: Run, world: World, config: Config, *, key: Key) -> Attempt:
+    """Searches in the hallucinated model, and acts for one episode.
+
+    Raises:
+        FitDiverged: what the search believes to have reached is not finite.
+    """
+    search_key, world_key = jr.split(key)
     state, setbacks = restart(run, config)
     if int(run.k) + 1 < config.warm_up:
         random = Uniform.draw(world.q, key=search_key) if config.babble == "varied" else Uniform(jnp.ones(()), world.q)
-        tau = world.roll_out(random, key=world_key)
-        return Question(tau, asked(run.T.add(tau)), state, SearchReport.nothing(), searched=False)
+        return Attempt(world.roll_out(random, key=world_key), state, SearchReport.nothing(), searched=False)
     f_tilde = hallucinated(run, config)  # μ + βση, eq. (5)
     ends = ends_of(run, world)
     more = {"setbacks": setbacks, "key": search_key}
     state, report = search(f_tilde, run.reward, ends, run.T, state, config.search, **more)  # eq. (6)
+    if not report.finite:
+        raise FitDiverged(
+            f"the policy search of episode {int(run.k) + 1} gave numbers that are not finite; imagined returns must be "
+            "finite. The run is stored up to the episode before: try a smaller learning rate, or another seed."
+        )
     acting = planned(state, f_tilde, run.reward, ends, config.plan, q=world.q, gamma=config.search.discount(world.H))
-    tau = world.roll_out(acting, key=world_key)  # plans (a, η), executes a
-    return Question(tau, asked(run.T.add(tau)), state, report, searched=True)
+    return Attempt(world.roll_out(acting, key=world_key), state, report, searched=True)  # plans (a, η), executes a
+
+
+def propose(run: Run, world: World, config: Config, *, key: Key) -> Question:
+    """Acts for one episode and picks what to compare."""
+    act_key, pick_key = jr.split(key)
+    new = attempt(run, world, config, key=act_key)
+    return Question(new, pick_clips(run.T.add(new.tau), run.reward, config.question, key=pick_key))  # τ′ ~ T, or better
 
 
 def learn(run: Run, question: Question, answer: Answer, world: World, config: Config, *, key: Key) -> Run:
@@ -159,33 +182,55 @@ def learn(run: Run, question: Question, answer: Answer, world: World, config: Co
     Raises:
         FitDiverged: the loss of the dynamics model is not finite.
     """
-    dynamics_key, ending_key = jr.split(key)
+    calibration = scored(run, question.attempt, config).calibration
+    calibration = calibration.after_answer(number_of(answer), expected(run, question))
     T = run.T.add(question.tau)
     P = run.P.answered(answer, question.shown, at_hand=T.count)
-    calibration = scored(run, question, number_of(answer), config).calibration
     reward = estimate_reward(P, T, run.reward, config.reward)  # eq. (7)
-    dynamics, ending = run.dynamics, run.ending
-    if int(run.k) + 2 >= config.warm_up:  # the next episode will search
-        first = int(run.k) + 2 == config.warm_up
-        steps = config.dynamics.cold_steps if first else config.dynamics.warm_steps
-        dynamics, fitted = estimate_dynamics(T, dynamics, config.dynamics, steps=steps, key=dynamics_key)
-        if not jnp.isfinite(fitted.loss):
-            raise FitDiverged(
-                f"the dynamics model of episode {int(run.k) + 1} lost its numbers: the loss is not finite after any "
-                "of its training steps. All up to here is stored: try a smaller learning rate, or another seed."
-            )
-        if world.ends and world.terminates is None:
-            ending = estimate_ending(T, ending, key=ending_key)
-    archive = run.archive.put(T.last, question.state) if question.searched else run.archive
-    return Run(run.k + 1, T, P, dynamics, reward, ending, calibration, archive)
+    known = eqx.tree_at(lambda run: (run.k, run.P, run.reward), run, (run.k + 1, P, reward))
+    return lived(known, question.attempt, calibration, world, config, key=key)
+
+
+def practise(run: Run, world: World, config: Config, *, key: Key) -> Run:
+    """An episode that nobody is asked about: all but r̂ learns from it."""
+    act_key, learn_key = jr.split(key)
+    new = attempt(run, world, config, key=act_key)
+    return lived(run, new, scored(run, new, config).calibration, world, config, key=learn_key)
 
 
 def episode(run: Run, world: World, config: Config, ask: Ask, *, key: Key) -> Episode:
     """Episode k. `key` is the run's own: a stopped run goes on with the same draws."""
-    propose_key, ask_key, learn_key = jr.split(jr.fold_in(key, run.k), 3)
+    propose_key, ask_key, learn_key, practice_key = jr.split(jr.fold_in(key, run.k), 4)
     question = propose(run, world, config, key=propose_key)
     answer = ask(question, run, key=ask_key)
-    return Episode(question, answer, learn(run, question, answer, world, config, key=learn_key))
+    after = learn(run, question, answer, world, config, key=learn_key)
+    for again_key in jr.split(practice_key, config.practice_after(int(run.k) + 1)):
+        after = practise(after, world, config, key=again_key)
+    return Episode(question, answer, after)
+
+
+def lived(run: Run, new: Attempt, calibration: Calibration, world: World, config: Config, *, key: Key) -> Run:
+    """The run with one more episode in T, and the model of the world refitted to it.
+
+    Raises:
+        FitDiverged: its loss is not finite.
+    """
+    dynamics_key, ending_key = jr.split(key)
+    T = run.T.add(new.tau)
+    archive = run.archive.put(T.last, new.state) if new.searched else run.archive
+    dynamics, ending = run.dynamics, run.ending
+    if int(run.k) + 1 >= config.warm_up:  # the next episode will search
+        steps = config.dynamics.warm_steps if new.searched else config.dynamics.cold_steps
+        dynamics, fitted = estimate_dynamics(T, dynamics, config.dynamics, steps=steps, key=dynamics_key)
+        if not jnp.isfinite(fitted.loss):
+            raise FitDiverged(
+                f"the dynamics model of episode {int(run.k)} lost its numbers: the loss is not finite after any "
+                "of its training steps. All up to here is stored: try a smaller learning rate, or another seed."
+            )
+        if world.ends and world.terminates is None:
+            ending = estimate_ending(T, ending, key=ending_key)
+    made = (T, dynamics, ending, calibration, archive)
+    return eqx.tree_at(lambda run: (run.T, run.dynamics, run.ending, run.calibration, run.archive), run, made)
 
 
 def restart(run: Run, config: Config) -> tuple[SearchState, Count]:
@@ -193,12 +238,19 @@ def restart(run: Run, config: Config) -> tuple[SearchState, Count]:
 
     It begins at the executed policy that the newest r̂ ranks best, or at the newest one. A search that went wrong is
     one whose policy did worse in the world than an older one, by r̂ and never by the true reward. To begin at the best
-    of the archive is to notice it and to recover at once; to search less far from there, to learn from it.
+    of the archive is to notice it and to recover at once; to search less far from there, to learn from it. Where even
+    the best is worse than random actions were, and does not improve, a search begins anew: an r̂ that was wrong at
+    first can have led where no gradient leads back.
     """
     if not config.restart:
         return run.archive.get(run.T.last), jnp.zeros((), jnp.int32)
-    best = run.archive.best(run.reward.returns(run.T))
-    return run.archive.get(best), jnp.where(run.archive.filled[best], run.T.last - best, 0)
+    returns, tried = run.reward.returns(run.T), run.archive.filled
+    best = run.archive.best(returns)
+    setbacks = jnp.where(tried[best], run.T.last - best, 0)
+    lost = (setbacks >= LOST) & (returns[best] < jnp.max(jnp.where(tried, -jnp.inf, returns)))
+    return run.archive.get(jnp.where(lost, 0, best)), jnp.where(
+        lost, 0, setbacks
+    )  # τ_0 is random: nothing is behind it
 
 
 def hallucinated(run: Run, config: Config) -> Hallucinated:
@@ -229,23 +281,24 @@ def ends_of(run: Run, world: World) -> Ends | None:
 
 
 @partial(jax.jit, static_argnames=("config",))
-def scored(run: Run, question: Question, g: Scalar, config: Config) -> Scores:
-    """The models as they were before, judged by an episode and an answer that they have not seen."""
+def scored(run: Run, new: Attempt, config: Config) -> Scores:
+    """The models as they were before, judged by an episode that they have not seen."""
+    errors = model_errors(run.dynamics.ensemble, new.tau)
+    first = eqx.tree_at(lambda tau: tau.length, new.tau, jnp.minimum(new.tau.length, config.search.trial_steps))
+    executed = J(first, run.reward)
+    overpromised = new.searched & (new.report.imagined - executed > OVERPROMISE * jnp.abs(executed))
+    calibration = run.calibration
+    if new.searched:
+        calibration = calibration.after_episode(errors, decay=config.kappa_decay, overpromised=overpromised)
+    return Scores(calibration, errors, executed, overpromised)
+
+
+@jax.jit
+def expected(run: Run, question: Question) -> Gap:
+    """What r̂ expects of an answer; NaN before the first, when not even the scale of one is known."""
     T = run.T.add(question.tau)
     guess = run.reward.gap(T.clip(question.shown[0]), T.clip(question.shown[-1]))
-    nothing = jnp.asarray(jnp.nan)  # before the first answer not even the scale of an answer is known
-    predicted = jax.tree.map(lambda x: jnp.where(run.P.count > 0, x, nothing), guess)
-    errors = model_errors(run.dynamics.ensemble, question.tau)
-    first = eqx.tree_at(
-        lambda tau: tau.length, question.tau, jnp.minimum(question.tau.length, config.search.trial_steps)
-    )
-    executed = J(first, run.reward)
-    promised = question.report.imagined
-    overpromised = question.searched & (promised - executed > OVERPROMISE * jnp.abs(executed))
-    calibration = run.calibration.after_answer(g, predicted)
-    if question.searched:
-        calibration = calibration.after_episode(errors, decay=config.kappa_decay, overpromised=overpromised)
-    return Scores(calibration, errors, predicted, executed, overpromised)
+    return jax.tree.map(lambda x: jnp.where(run.P.count > 0, x, jnp.nan), guess)
 
 
 def confirmed(run: Run, world: World, config: Config, *, key: Key) -> tuple[Count, Count]:

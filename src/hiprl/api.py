@@ -11,7 +11,7 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import ArrayLike
 
-from hiprl.config import Config, asking
+from hiprl.config import PEOPLE, Config, asking
 from hiprl.errors import InputError
 from hiprl.feedback.judges import judge_from
 from hiprl.feedback.judging import Judge, Judging
@@ -198,6 +198,11 @@ def judge_of(row: RunRow, judge: str | Judge | None = None) -> Judging:
         raise InputError(
             f"run {row.id} was begun with a function as its judge; to go on, it needs that function again. "
             f"Pass it from Python: hiprl.resume({row.id!r}, judge)."
+        )
+    if judge is None and row.spec["judge"] == PEOPLE:
+        raise InputError(
+            f"run {row.id} is taught by people; to go on, it needs its page. Type `hiprl resume {row.id}`, or pass a "
+            f"judge from Python: hiprl.resume({row.id!r}, judge)."
         )
     return judge_from(row.spec["judge"] if judge is None else judge)
 

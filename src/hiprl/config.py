@@ -22,6 +22,8 @@ Preset: TypeAlias = Literal["default", "paper"]
 Babble: TypeAlias = Literal["varied", "uniform"]
 CLIP = 50
 """Steps of a clip where a judge does not give numbers: 2 to 5 seconds in most simulators."""
+PEOPLE = "people"
+"""In place of a judge's name in the row of a run that people teach."""
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 
 
@@ -45,6 +47,8 @@ class Config:
     """In mode `bonus`: reward for a σ as large as a typical step, in units of a typical reward."""
     restart: bool = True
     """Begin each search at the executed policy that r̂ ranks best; False: at the newest one (the paper)."""
+    practice: int = 0
+    """Episodes after each answer that nobody is asked about. They cost steps and time, and no answers."""
     confirmations: int = 5
     """Episodes after the last answer in which what r̂ ranks best is executed again, so that luck does not win."""
     dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
@@ -69,6 +73,11 @@ class Config:
                 f"got a warm-up of {self.warm_up} trajectories and {self.comparisons} comparisons; the warm-up needs "
                 "at least 2 trajectories and at most as many as there are comparisons. Change one of the two."
             )
+        if self.practice < 0:
+            raise InputError(
+                f"got {self.practice} episodes of practice after each answer; 0 or more are possible. "
+                "Take 0 to execute no more than is asked about."
+            )
         if self.confirmations < 0:
             raise InputError(
                 f"got {self.confirmations} confirmations; the number of episodes in which the best policies are tried "
@@ -89,6 +98,19 @@ class Config:
                 f"got kappa {self.kappa}, kappa_decay {self.kappa_decay} and bonus {self.bonus}; widths and bonuses "
                 "are 0 or more, and the decay is above 0. Use 0 for no optimism."
             )
+
+    @property
+    def trajectories(self) -> int:
+        """How many are executed from τ_0 to the last answer's practice."""
+        return self.number_after(self.comparisons)
+
+    def practice_after(self, k: int) -> int:
+        """Episodes of practice after answer k: none in the warm-up, which has no policy yet."""
+        return self.practice if k >= self.warm_up else 0
+
+    def number_after(self, k: int) -> int:
+        """How many trajectories there are when all is done that belongs to answer k."""
+        return 1 + k + self.practice * max(0, k - self.warm_up + 1)
 
     def eta_size(self, p: int) -> int:
         """How many entries of the policy's output are hallucinated control."""
@@ -117,6 +139,12 @@ def asking(config: Config, judging: Judging, *, clip: int | None = None, pick: P
     if clip is not None:
         asked = replace(asked, clip=clip or None)
     return replace(config, question=asked if pick is None else replace(asked, pick=pick))
+
+
+def teachable(config: Config) -> Config:
+    """The settings with questions that people can answer: two short clips, those that tell most, five levels."""
+    asked = replace(config.question, clip=config.question.clip or CLIP, pick="information", levels=5, items=2)
+    return replace(config, question=asked, practice=max(config.practice, 1))
 
 
 PAPER_PENDULUM = PPOConfig()

@@ -20,14 +20,15 @@ import jax.random as jr
 import numpy as np
 
 from hiprl.algorithm import (
+    Attempt,
     Question,
     Run,
-    Scores,
     actor_of,
     begin,
     best_actor,
     confirmed,
     episode,
+    expected,
     no_trajectories,
     nothing_known,
     number_of,
@@ -36,10 +37,12 @@ from hiprl.algorithm import (
 from hiprl.config import Config
 from hiprl.data.answer import Answer
 from hiprl.data.preference import WHOLE, Clip
-from hiprl.errors import FitDiverged, InputError, JudgeError
+from hiprl.errors import InputError, JudgeError
 from hiprl.evaluate import episodes, true_returns
 from hiprl.feedback.judging import Judging, checked
+from hiprl.feedback.worth import worth
 from hiprl.models.calibration import rollout_errors
+from hiprl.models.reward import AdditiveReward
 from hiprl.spec import from_plain, to_plain, versions
 from hiprl.store.arrays import pack, unpack
 from hiprl.store.rows import ClipRow
@@ -91,6 +94,7 @@ def start(store: Store, world: World, spec: RunSpec) -> str:
         {
             "env": world.spec(),
             "horizon": world.H,
+            "names": world.names()._asdict(),
             "judge": spec.judge,
             "eval_episodes": spec.eval_episodes,
             "terminates": spec.terminates,
@@ -176,6 +180,8 @@ def one_episode(
     times.append(time.perf_counter())
     facts = facts_of(run, question, answer, after, config)
     facts["seconds"] = dict(zip(("propose", "judge", "learn"), np.diff(times).tolist(), strict=True))
+    for number in range(int(run.T.count) + 1, int(after.T.count)):
+        store.add_trajectory(run_id, number, after.T.get(number), "policy")
     store.finish_episode(run_id, k, facts, pack(after))
     watch(facts)
     return after
@@ -183,14 +189,9 @@ def one_episode(
 
 def asked(store: Store, run_id: str, k: int, run: Run, question: Question, judging: Judging, *, key: Key) -> Answer:
     """The answer to episode k's question, which is written down first: from the store if it is there, or the judge."""
-    if question.searched and not question.report.finite:
-        raise FitDiverged(
-            f"the policy search of episode {k} gave numbers that are not finite; imagined returns must be finite. "
-            "The run is stored up to the episode before: try a smaller learning rate, or another seed."
-        )
     T = run.T.add(question.tau)
     rows = [clip_row(clip) for clip in question.shown]
-    store.open_question(run_id, k, int(T.last), question.tau, "policy" if question.searched else "random", rows)
+    store.open_question(run_id, k, int(T.last), question.tau, "policy" if question.attempt.searched else "random", rows)
     answer = store.answer_of(run_id, k)
     if answer is None:
         try:
@@ -208,29 +209,39 @@ def clip_row(clip: Clip) -> ClipRow:
 
 
 def facts_of(run: Run, question: Question, answer: Answer, after: Run, config: Config) -> Facts:
-    """What is told of an episode. True returns are for the reader; nothing that learns sees them."""
-    g = number_of(answer)
-    scores: Scores = scored(run, question, g, config)
+    """What is told of an episode with a question. True returns are for the reader; nothing that learns sees them."""
+    g, predicted = number_of(answer), expected(run, question)
+    facts = facts_of_attempt(run, question.attempt, after, config) | {
+        "comparisons": int(after.k),
+        "answer": answer.plain(),
+        "g": float(g),
+        "foreseen": foreseen(answer, float(predicted.mean)),
+        "g_predicted": float(predicted.mean),
+        "sigma_g": float(predicted.sigma),
+        "alpha": float(after.calibration.alpha),
+        "worth": worth_of(after, config),
+    }
+    return finite_or_none(facts)
+
+
+def facts_of_attempt(run: Run, new: Attempt, after: Run, config: Config) -> Facts:
+    """What is told of an episode, whether or not anybody is asked about it."""
+    scores = scored(run, new, config)
     returns = after.reward.returns(after.T)
     facts = {
         "k": int(after.k),
-        "comparisons": int(after.k),
         "env_steps": int(jnp.sum(jnp.where(after.T.filled, after.T.rows.length, 0))),
-        "length": int(question.tau.length),
-        "true_return": float(question.tau.true_return),
-        "answer": answer.plain(),
-        "g": float(g),
-        "g_predicted": float(scores.predicted.mean),
-        "sigma_g": float(scores.predicted.sigma),
-        "alpha": float(after.calibration.alpha),
-        "return_by_reward": float(returns[after.T.last]),
-        "searched": question.searched,
+        "length": int(new.tau.length),
+        "true_return": float(new.tau.true_return),
+        "return_by_reward": float(returns[run.T.count]),
+        "searched": new.searched,
     }
-    if question.searched:
-        errors = rollout_errors(run.dynamics.ensemble, question.tau, HORIZONS)
+    if new.searched:
+        errors = rollout_errors(run.dynamics.ensemble, new.tau, HORIZONS)
+        best = after.archive.best(returns)
         facts |= {
-            "imagined": float(question.report.imagined),
-            "imagined_worst": float(question.report.worst),
+            "imagined": float(new.report.imagined),
+            "imagined_worst": float(new.report.worst),
             "executed": float(scores.executed),
             "overpromised": bool(scores.overpromised),
             "beta": float(jnp.mean(after.calibration.beta)),
@@ -239,9 +250,24 @@ def facts_of(run: Run, question: Question, answer: Answer, after: Run, config: C
             "relative_error": float(scores.errors.relative),
             "coverage": float(scores.errors.coverage),
             "rollout_errors": dict(zip(map(str, HORIZONS), map(float, errors), strict=True)),
-            "best_trajectory": int(after.archive.best(returns)),
+            "best_trajectory": int(best),
+            "best_return": float(after.T.get(best).true_return),
         }
-    return finite_or_none(facts)
+    return facts
+
+
+def foreseen(answer: Answer, predicted: float) -> float:
+    """1 if the side that was said is the predicted one, 0 if not; NaN if none was said, or none predicted."""
+    if not answer.side or not math.isfinite(predicted):
+        return math.nan
+    return float(answer.side == np.sign(predicted))
+
+
+def worth_of(run: Run, config: Config) -> float:
+    """What the next answer is worth, as a share of what was learned; NaN where that is not known."""
+    if not isinstance(run.reward, AdditiveReward) or int(run.k) < config.warm_up:
+        return math.nan
+    return float(worth(run.T, run.reward, config.question, key=jr.key(int(run.k))))
 
 
 def finite_or_none(x: Any) -> Any:
@@ -263,7 +289,7 @@ def conclude(store: Store, run_id: str, run: Run, world: World, spec: RunSpec, *
         "run": run_id,
         "env": world.name,
         "seed": spec.seed,
-        "comparisons": int(run.k),
+        "comparisons": int(run.P.count),
         "env_steps": facts[-1][1]["env_steps"] + int(more_steps),
         "return_mean": float(returns.mean()) if known else None,
         "return_std": float(returns.std()) if known else None,

@@ -12,7 +12,7 @@ from benchmarks.roofline import Product, network
 from benchmarks.runner import Job, known, reported, run_all, seeds_of, write
 from benchmarks.table1 import solved_by
 
-PROGRAMS = ("policy_search", "roofline", "table1", "optimism", "linear", "crash")
+PROGRAMS = ("policy_search", "roofline", "table1", "answers", "questions", "optimism", "linear", "crash")
 
 
 def test_seeds_are_ranges_and_lists():
@@ -42,8 +42,8 @@ def test_solved_means_for_good():
 def test_what_is_reported_is_the_executed_return_of_the_best_trajectory():
     facts = [
         {"k": 1, "true_return": 5.0, "searched": False},
-        {"k": 2, "true_return": 9.0, "searched": True, "best_trajectory": 2},
-        {"k": 3, "true_return": 1.0, "searched": True, "best_trajectory": 2},
+        {"k": 2, "true_return": 9.0, "searched": True, "best_return": 9.0},
+        {"k": 3, "true_return": 1.0, "searched": True, "best_return": 9.0},
     ]
     assert reported(facts) == [None, 9.0, 9.0]
 
@@ -75,3 +75,13 @@ def test_each_program_explains_itself(program):
     command = [sys.executable, "-m", f"benchmarks.{program}", "--help"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "--json FILE" in done.stdout and "--quick" in done.stdout and "(default: " in done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["policy_search --no-sb3 --task InvertedPendulum-v5", "roofline"])
+def test_each_measurement_runs(command, tmp_path):
+    name, *flags = command.split()
+    out = tmp_path / "out.json"
+    command = [sys.executable, "-m", f"benchmarks.{name}", "--quick", "--json", str(out), *flags]
+    subprocess.run(command, capture_output=True, text=True, check=True)
+    assert json.loads(out.read_text())["rows"]

@@ -34,7 +34,7 @@ def test_the_time_left_is_that_of_the_episodes_that_compiled_nothing() -> None:
 def test_the_best_return_is_that_of_the_trajectory_the_reward_ranks_best() -> None:
     tally = Tally(9)
     past = told(5)
-    past[-1]["best_trajectory"] = 4
+    past[-1]["best_return"] = past[3]["true_return"]
     for one in past:
         tally.add(one)
     newest, best = past[4]["true_return"], past[3]["true_return"]

@@ -13,7 +13,8 @@ import pytest
 from hiprl.cli import training
 from hiprl.cli.commands import Resume, Train
 from hiprl.cli.main import main
-from hiprl.cli.training import config_of, outcome, resume, train
+from hiprl.cli.resuming import resume
+from hiprl.cli.training import config_of, outcome, train
 from hiprl.config import Config, paper
 from hiprl.control.gradient import GradientConfig
 from hiprl.errors import StoreError

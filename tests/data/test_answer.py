@@ -177,7 +177,7 @@ def test_strange_entries_are_refused_in_three_parts(plain):
     with pytest.raises(InputError) as caught:
         Answer.read(plain)
     message = str(caught.value)
-    assert "with the entries" in message and "it needs form" in message and "hiprl answers export" in message
+    assert "with the entries" in message and "it needs form" in message and "hiprl export" in message
 
 
 def test_every_form_has_its_error():

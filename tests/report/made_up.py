@@ -41,6 +41,7 @@ def facts(k: int, *, warm_up: int = 5, top: float = 3000.0, draw: np.random.Gene
         "length": 1000,
         "true_return": float(true_return) if pays else None,
         "g": g,
+        "foreseen": float(draw.uniform() < 0.9) if k > 1 else None,
         "g_predicted": g - float(error * draw.choice([-1, 1])),
         "sigma_g": float(700 * np.exp(-k / 6)) if k > 1 else 6e-6,
         "alpha": 335469.0 if k < 11 else 2.0 + 3 / k,
@@ -62,7 +63,8 @@ def facts(k: int, *, warm_up: int = 5, top: float = 3000.0, draw: np.random.Gene
             "relative_error": 0.1,
             "coverage": float(draw.uniform(0.7, 0.97)),
             "rollout_errors": {str(h): float(h**0.8 * off) for h in (1, 5, 20, 50)},
-            "best_trajectory": k - 1 if k > warm_up and draw.uniform() < 0.4 else k,
+            "best_trajectory": k,
+            "best_return": float(true_return) if pays else None,
         }
     return found
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,9 +10,11 @@ from hiprl.config import Config
 from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, number
 from hiprl.data.preference import Kind
 from hiprl.errors import InputError
+from hiprl.models.estimate import estimate_reward
 from hiprl.models.quality import cross_validated, shapes
 from hiprl.models.reward import AdditiveConfig
-from hiprl.report.evidence import as_said, consistency, evidence_of, quality, relearned
+from hiprl.report.beliefs import beliefs
+from hiprl.report.evidence import as_said, consistency, evidence_of, quality, told
 from hiprl.spec import to_plain
 from hiprl.store.rows import ClipRow
 from hiprl.store.store import open_store
@@ -89,7 +93,7 @@ def test_a_run_without_answers_is_refused(tmp_path):
 
 def test_the_reward_is_learned_again(evidence, T):
     again, P = evidence
-    reward = relearned(again, P, LINEAR)
+    reward = estimate_reward(P, again, None, LINEAR)
     gap = reward.gap(again.get(4), again.get(7))
     assert float(gap.mean) == pytest.approx(paid(T, ClipRow(4)) - paid(T, ClipRow(7)), rel=0.1, abs=1.0)
 
@@ -123,7 +127,7 @@ def test_numbers_can_count_as_choices(evidence):
 
 def test_the_view_of_a_reward_shows_what_it_goes_by(evidence):
     again, P = evidence
-    found = shapes(relearned(again, P, LINEAR), again)
+    found = shapes(estimate_reward(P, again, None, LINEAR), again)
     assert int(np.argmax(found.weight)) == 1  # the truth is the second entry of the state
     slope = np.gradient(np.asarray(found.mean[1]), np.asarray(found.x[1]))
     assert np.median(slope) == pytest.approx(1.0, abs=0.2)
@@ -158,3 +162,15 @@ def test_the_command_takes_any_answers(T, tmp_path, capsys, say):
 def test_one_fold_is_refused(tmp_path):
     with pytest.raises(InputError, match="at least 2 are needed"):
         relearn(Relearn(run="x", folds=1))
+
+
+def test_a_reward_is_told_by_the_names_of_what_it_goes_by(numbers, evidence):
+    again, P = evidence
+    _, row = numbers
+    found = told(row, again, P, LINEAR)
+    assert next(iter(found.weights)) == "s[1]" and sum(found.weights.values()) == pytest.approx(1, abs=0.2)
+    named = replace(row, spec=row.spec | {"names": {"state": ["place", "speed", "turn"], "action": ["push", "pull"]}})
+    assert next(iter(told(named, again, P, LINEAR).weights)) == "speed"
+    figure = beliefs(found.shapes, float(found.reward.unit), found.names, "a run")
+    titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_visible()]
+    assert titles[0].startswith("s[1]: ") and len(titles) == 5

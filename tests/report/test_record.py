@@ -26,9 +26,9 @@ def test_best_is_the_return_of_the_trajectory_that_was_ranked_first(store: Store
     run_id = store.add_run("Hopper-v5", 0, spec(), VERSIONS)
     told = [
         {"k": 1, "true_return": 7.0, "searched": False},
-        {"k": 2, "true_return": 11.0, "searched": True, "best_trajectory": 2},
-        {"k": 3, "true_return": 5.0, "searched": True, "best_trajectory": 2},
-        {"k": 4, "true_return": 13.0, "searched": True, "best_trajectory": 4},
+        {"k": 2, "true_return": 11.0, "searched": True, "best_return": 11.0},
+        {"k": 3, "true_return": 5.0, "searched": True, "best_return": 11.0},
+        {"k": 4, "true_return": 13.0, "searched": True, "best_return": 13.0},
     ]
     for facts in told:
         store.finish_episode(run_id, facts["k"], facts, b"%d" % facts["k"])

@@ -12,7 +12,17 @@ from tests.report.made_up import VERSIONS, add_run, spec
 
 KEYS = [
     *("run", "env", "seed", "judge", "begun", "finished", "comparisons", "planned_comparisons", "env_steps"),
-    *("return_mean", "return_std", "eval_episodes", "best_executed_return", "coverage", "beta", "kappa", "alpha"),
+    *(
+        "return_mean",
+        "return_std",
+        "eval_episodes",
+        "best_executed_return",
+        "coverage",
+        "beta",
+        "kappa",
+        "alpha",
+        "worth",
+    ),
     *("deviation", "rollout_errors", "preference_deviation", "right_signs", "imagined", "executed", "overpromised"),
     *("seconds", "wall_seconds", "versions", "store", "episodes"),
 ]
@@ -40,12 +50,10 @@ def test_a_run_without_any_episode_has_numbers_too(store: Store) -> None:
     json.dumps(facts, allow_nan=False)
 
 
-def test_signs_count_from_the_first_policy_on_and_not_where_the_answer_is_zero(store: Store) -> None:
+def test_sides_count_from_the_first_policy_on_and_not_where_none_was_said(store: Store) -> None:
     run_id = store.add_run("Hopper-v5", 0, spec(), VERSIONS)
-    for k, (g, predicted, searched) in enumerate(
-        [(1.0, -1.0, False), (2.0, 3.0, True), (-2.0, 3.0, True), (0.0, 3.0, True), (-5.0, -0.1, True)], 1
-    ):
-        store.finish_episode(run_id, k, {"k": k, "g": g, "g_predicted": predicted, "searched": searched}, b"%d" % k)
+    for k, (foreseen, searched) in enumerate([(0.0, False), (1.0, True), (0.0, True), (None, True), (1.0, True)], 1):
+        store.finish_episode(run_id, k, {"k": k, "foreseen": foreseen, "searched": searched}, b"%d" % k)
     assert summary(record(store, store.run(run_id)))["right_signs"] == pytest.approx(2 / 3)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -33,16 +34,19 @@ def new_file(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], str]:
 def emptied_database(postgres_folder: Path) -> Callable[[], str]:
     """Empties one PostgreSQL store again and again, faster than making one each time."""
     psycopg = pytest.importorskip("psycopg", reason="psycopg is not here (pip install 'hiprl[postgres]')")
+    name = f"emptied_{secrets.token_hex(4)}"  # folders of tests that share this each have one
     with psycopg.connect(host=str(postgres_folder), user="hiprl", dbname="postgres", autocommit=True) as server:
-        server.execute("CREATE DATABASE emptied")
-    url = f"postgresql+psycopg://hiprl@/emptied?host={postgres_folder}"
+        server.execute(f"CREATE DATABASE {name}")
+    url = f"postgresql+psycopg://hiprl@/{name}?host={postgres_folder}"
     open_store(url).close()
 
     def empty() -> str:
-        with psycopg.connect(host=str(postgres_folder), user="hiprl", dbname="emptied") as connection:
-            connection.execute("DELETE FROM answers; DELETE FROM questions; DELETE FROM trajectories")
+        with psycopg.connect(host=str(postgres_folder), user="hiprl", dbname=name) as connection:
+            connection.execute(
+                "DELETE FROM claims; DELETE FROM answers; DELETE FROM questions; DELETE FROM trajectories"
+            )
             connection.execute("DELETE FROM leases; DELETE FROM checkpoints; DELETE FROM episodes")
-            connection.execute("DELETE FROM finals; DELETE FROM runs")
+            connection.execute("DELETE FROM finals; DELETE FROM scenes; DELETE FROM goals; DELETE FROM runs")
         return url
 
     return empty

@@ -67,6 +67,8 @@ class Train:
     """How clips are picked: the newest trajectory and any older ones, or what is expected to tell most."""
     comparisons: Annotated[int, arg(metavar="K")] = 30
     """Comparisons that the judge answers; one an episode."""
+    practice: Annotated[int, arg(metavar="N")] = 0
+    """Episodes after each answer that nobody is asked about: they cost steps in the environment, and time."""
     seed: int = 0
     """Decides all draws; whole number."""
     preset: Preset = "default"
@@ -178,10 +180,128 @@ class Relearn:
     """End with one JSON object on the last line of stdout; the table goes to stderr."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Teach:
+    """Teach a behaviour yourself: compare clips in the browser while it trains. No reward is needed.
+
+    Prints the address of the page. It practises while it waits for you, and takes answers up as they come.
+    """
+
+    env: Annotated[Positional[str], arg(metavar="ENV")]
+    """Environment, as for train."""
+    goal: Annotated[str | None, arg(metavar="WORDS", help_behavior_hint="(default: asked on the page)")] = None
+    """What it is to learn, in your own words; shown above the clips."""
+    comparisons: Annotated[int, arg(metavar="K")] = 30
+    """Answers after which it practises a while longer, and ends."""
+    clip: Annotated[int | None, arg(metavar="STEPS", help_behavior_hint="(default: 50)")] = None
+    """Steps of the clips that are compared; 0 for whole episodes."""
+    seed: int = 0
+    """Decides all draws; whole number."""
+    horizon: Annotated[int | None, arg(metavar="H", help_behavior_hint="(default: the environment's own limit)")] = None
+    """Most steps in an episode; needed where the environment has no limit."""
+    terminates: Rule = None
+    """When an episode ends: a function of (s, a, s_next) in JAX that gives true there."""
+    host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
+    """Address at which the page listens: by default for this machine alone."""
+    port: Annotated[int, arg(metavar="N")] = 8642
+    """Port of the page, or the next free one; 0 for no page (`hiprl serve` shows it)."""
+    no_browser: Annotated[bool, arg(help_behavior_hint="(default: off)")] = False
+    """Only print the address of the page; do not open it."""
+    store: Store = DEFAULT_STORE
+    """Where the run is kept: a file or an address, as for train."""
+    json: Json = False
+    """End with one JSON object on the last line of stdout, the same as train gives."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Serve:
+    """Show the page alone, for all runs of a store and any number of judges, until Ctrl-C.
+
+    Prints an address that lets one browser in, and another one once it was used. With a password in the environment
+    (HIPRL_PASSWORD), that opens the page too.
+    """
+
+    run: Annotated[Positional[str | None], arg(metavar="[RUN]", help_behavior_hint="(default: the list of runs)")] = (
+        None
+    )
+    """The run whose page is opened first: its id, or the start of it."""
+    host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
+    """Address to listen at: by default for this machine alone; 0.0.0.0 for all that can reach it."""
+    port: Annotated[int, arg(metavar="N")] = 8642
+    """Port, or the next free one."""
+    browser: Annotated[bool, arg(help_behavior_hint="(default: off)")] = False
+    """Open the page in a browser."""
+    store: Store = DEFAULT_STORE
+    """Where the runs are kept: a file or an address, as for train."""
+    json: Json = False
+    """End with one JSON object on the last line of stdout."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Play:
+    """Look at what a run has learned: one file with the behaviour in 3-D, which opens in any browser and can be mailed.
+
+    Without --html it lies beside the store, and is opened where there is a screen.
+    """
+
+    run: Annotated[Positional[str], arg(metavar="RUN")]
+    """The run's id, or the start of it."""
+    html: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: beside the store)")] = None
+    """Where to write it."""
+    steps: Annotated[int, arg(metavar="N")] = 500
+    """At most so many steps of the episode."""
+    seed: int = 0
+    """Decides where the episode begins; whole number."""
+    terminates: Annotated[
+        str | None, arg(metavar="MODULE:FUNCTION", help_behavior_hint="(default: what the run began with)")
+    ] = None
+    """When an episode ends; needed where the run was begun from Python with a function."""
+    store: Store = DEFAULT_STORE
+    """Where the run is kept: a file or an address, as for train."""
+    json: Json = False
+    """End with one JSON object on the last line of stdout."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export:
+    """Take a run's answers or its trajectories away, in a file that other programs read."""
+
+    run: Annotated[Positional[str], arg(metavar="RUN")]
+    """The run's id, or the start of it."""
+    to: Annotated[str, arg(metavar="FILE")]
+    """A name that ends in .jsonl for all questions and answers (JSON Lines),
+    or in .npz for all trajectories (NumPy arrays; actions between -1 and 1, rewards as the environment paid them)."""
+    store: Store = DEFAULT_STORE
+    """Where the run is kept: a file or an address, as for train."""
+    json: Json = False
+    """End with one JSON object on the last line of stdout."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Import:
+    """Take in answers that were given elsewhere, to questions of a run in the store.
+
+    All of them or, if one does not fit its question, none. A newer answer replaces an older one, and the older one
+    stays to be seen.
+    """
+
+    file: Annotated[Positional[str], arg(metavar="FILE")]
+    """Answers as `hiprl export RUN --to answers.jsonl` writes them."""
+    store: Store = DEFAULT_STORE
+    """Where the run is kept: a file or an address, as for train."""
+    json: Json = False
+    """End with one JSON object on the last line of stdout."""
+
+
 Command: TypeAlias = (
     Annotated[Train, subcommand("train")]
+    | Annotated[Teach, subcommand("teach")]
+    | Annotated[Serve, subcommand("serve")]
     | Annotated[Resume, subcommand("resume")]
     | Annotated[Show, subcommand("show")]
+    | Annotated[Play, subcommand("play")]
     | Annotated[Compare, subcommand("compare")]
     | Annotated[Relearn, subcommand("relearn")]
+    | Annotated[Export, subcommand("export")]
+    | Annotated[Import, subcommand("import")]
 )

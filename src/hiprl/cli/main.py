@@ -11,7 +11,7 @@ from typing import cast
 
 import tyro
 
-from hiprl.cli.commands import Command, Compare, Facts, Relearn, Resume, Show, Train
+from hiprl.cli.commands import Command, Compare, Export, Facts, Import, Play, Relearn, Resume, Serve, Show, Teach, Train
 from hiprl.cli.interrupt import INTERRUPTED
 from hiprl.errors import HiprlError, InputError
 
@@ -35,6 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command = read(arguments)
     except SystemExit as stop:  # help was asked for, or tyro has said what is wrong
         return stop.code if isinstance(stop.code, int) else WRONG_INPUT
+    except BrokenPipeError:  # `hiprl train --help | head` has read enough
+        return silenced()
     from hiprl.cli.machine import prepare
 
     prepare()
@@ -51,19 +53,31 @@ def read(arguments: Sequence[str]) -> Command:
 
 def do(command: Command) -> Facts:
     """Does what a command says. What that needs takes seconds to import, and is imported here."""
-    from hiprl.cli import relearning, showing, training
+    if isinstance(command, Serve):  # a page needs no JAX
+        from hiprl.cli import serving
+
+        return serving.serve(command)
+    from hiprl.cli import exchange, playing, relearning, resuming, showing, teaching, training
 
     match command:
         case Train():
             return training.train(command)
+        case Teach():
+            return teaching.teach(command)
         case Resume():
-            return training.resume(command)
+            return resuming.resume(command)
         case Show():
             return showing.show(command)
+        case Play():
+            return playing.play(command)
         case Compare():
             return showing.compare(command)
         case Relearn():
             return relearning.relearn(command)
+        case Export():
+            return exchange.export(command)
+        case Import():
+            return exchange.bring(command)
 
 
 def run(command: Callable[[], Facts], *, as_json: bool) -> int:
@@ -76,8 +90,7 @@ def run(command: Callable[[], Facts], *, as_json: bool) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED  # where something was under way, it has said so itself
     except BrokenPipeError:  # `hiprl show | head` has read enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FAILED
+        return silenced()
     except Exception as error:
         if os.environ.get("HIPRL_TRACEBACK", "") not in ("", "0"):
             raise
@@ -92,6 +105,12 @@ def run(command: Callable[[], Facts], *, as_json: bool) -> int:
         )
         say("\n".join([unexpected, *notes_of(error)]))
         return FAILED
+
+
+def silenced() -> int:
+    """The status of a command whose reader has gone; what Python still wants to write goes nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return FAILED
 
 
 def notes_of(error: BaseException) -> list[str]:

@@ -12,26 +12,34 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 Facts = dict[str, Any]
 
 RECENT = 5  # episodes, by which the time left is judged
+LITTLE = 0.01  # share of what was learned: an answer worth less is hardly worth giving
+IN_A_ROW = 3  # such answers, until that is said
+ENOUGH = (
+    "Answers are hardly worth giving any more: what is wanted is known so well that the next one is expected to change "
+    "the best by less than 1 %. The run goes on, as more episodes still make it better at it."
+)
 
 
 class Tally:
     """What there is to say about a run that goes on."""
 
-    def __init__(self, K: int, past: Sequence[Facts] = ()):
+    def __init__(self, K: int, past: Sequence[Facts] = (), *, by_people: bool = False):
         self.K = K
+        self.by_people = by_people
         self.done = 0
         self._seconds: list[float] = []
-        self._returns: dict[int, float | None] = {}
         self._last: Facts = {}
+        self._worth: list[float] = []
         for facts in past:
             self.add(facts)
         self._seconds.clear()  # another machine, another hour: they say nothing of this one
 
     def add(self, facts: Facts) -> None:
         """One more episode is finished."""
-        self.done = facts["k"]
+        self.done = facts["comparisons"]
         self._last = facts
-        self._returns[facts["k"]] = facts["true_return"]
+        if facts.get("worth") is not None:
+            self._worth.append(facts["worth"])
         if facts["searched"]:
             self._seconds.append(sum(facts["seconds"].values()))
 
@@ -41,21 +49,33 @@ class Tally:
         newest = self._last.get("true_return")
         if newest is None:
             return ""
-        best = self._returns.get(self._last.get("best_trajectory", -1))
+        best = self._last.get("best_return")
         return f"return {newest:.1f}" + ("" if best is None else f", best by the learned reward {best:.1f}")
+
+    @property
+    def enough(self) -> bool:
+        """Whether the last answers were hardly worth giving: none was expected to change what is wanted by much."""
+        return len(self._worth) >= IN_A_ROW and max(self._worth[-IN_A_ROW:]) < LITTLE
 
     @property
     def left(self) -> str:
         """The time left, in words; unknown until an episode has had a search of which nothing is compiled anew."""
-        if self.done >= self.K or len(self._seconds) < 2:
+        if self.by_people or self.done >= self.K or len(self._seconds) < 2:
             return ""
         return f"{duration(median(self._seconds[1:][-RECENT:]) * (self.K - self.done))} left"
+
+    @property
+    def counted(self) -> str:
+        """How far it is, in numbers."""
+        if self.by_people:
+            return f"episode {self._last['k']}, {self.done} of {self.K} answers"
+        return f"episode {self.done}/{self.K}, {self.done} comparisons"
 
     @property
     def phase(self) -> str:
         """What is being done now."""
         if self.done >= self.K:
-            return "evaluating"
+            return "practising" if self.by_people else "evaluating"
         return "learning" if self._last.get("searched") else "warming up"
 
 
@@ -65,6 +85,7 @@ class Lines:
     def __init__(self, tally: Tally, console: Console):
         self._tally = tally
         self._console = console
+        self._said = tally.enough
 
     def __enter__(self) -> Lines:
         return self
@@ -75,14 +96,21 @@ class Lines:
     def stop(self) -> None:
         """Nothing is left on the screen."""
 
+    def wait(self, what: str) -> None:
+        """Tells what is waited for."""
+        if what:
+            self._console.print(f"waiting for {what}", highlight=False)
+
     def __call__(self, facts: Facts) -> None:
         """Tells of an episode."""
         tally = self._tally
         tally.add(facts)
-        counted = f"episode {tally.done}/{tally.K}, {facts['comparisons']} comparisons"
-        words = ", ".join(part for part in (counted, tally.returns, tally.left) if part)
+        words = ", ".join(part for part in (tally.counted, tally.returns, tally.left) if part)
         self._console.print(words, highlight=False, soft_wrap=True)
-        if tally.done >= tally.K:
+        if tally.enough and not self._said:
+            self._console.print(ENOUGH, highlight=False, soft_wrap=True)
+            self._said = True
+        if tally.done >= tally.K and not tally.by_people:
             self._console.print("evaluating the learned policy", highlight=False)
 
 
@@ -114,17 +142,22 @@ class Live:
         """Clears the line, and gives the cursor back."""
         self._bar.stop()
 
+    def wait(self, what: str) -> None:
+        """Tells what is waited for."""
+        self._bar.update(self._task, words=f"waiting for {what}" if what else "")
+
     def __call__(self, facts: Facts) -> None:
         """Tells of an episode."""
         tally = self._tally
         tally.add(facts)
-        words = "; ".join(part for part in (tally.left, tally.returns) if part)
+        enough = "answers are hardly worth giving any more" if tally.enough else ""
+        words = "; ".join(part for part in (tally.left, tally.returns, enough) if part)
         self._bar.update(self._task, completed=tally.done, phase=tally.phase, words=words)
 
 
-def progress(K: int, past: Sequence[Facts], console: Console) -> Lines | Live:
+def progress(K: int, past: Sequence[Facts], console: Console, *, by_people: bool = False) -> Lines | Live:
     """What tells of a run's episodes, as the console can show it; call it with the facts of each."""
-    return (Live if console.is_interactive else Lines)(Tally(K, past), console)
+    return (Live if console.is_interactive else Lines)(Tally(K, past, by_people=by_people), console)
 
 
 def duration(seconds: float | int) -> str:

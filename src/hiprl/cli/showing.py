@@ -12,16 +12,21 @@ from rich.table import Table
 from hiprl.cli.commands import DEFAULT_STORE, Compare, Facts, Show
 from hiprl.cli.progress import duration
 from hiprl.errors import InputError
+from hiprl.models.reward import AdditiveConfig
 from hiprl.report.arm_figure import comparison
 from hiprl.report.arms import arms_of, compared
-from hiprl.report.figures import pictures
+from hiprl.report.beliefs import beliefs
+from hiprl.report.evidence import Told, evidence_of, quality, told
+from hiprl.report.figures import headline, pictures
 from hiprl.report.record import Record, beside, newest, record
 from hiprl.report.setting import setting
 from hiprl.report.style import save
 from hiprl.report.summary import summary
+from hiprl.spec import from_plain
 from hiprl.store.rows import RunRow
 from hiprl.store.store import Store, open_store
 
+FOLDS = 5  # parts into which the answers are put, each predicted from the others
 PIPE_WIDTH = 200  # letters of a line where there is no terminal
 
 
@@ -29,14 +34,28 @@ def show(command: Show) -> Facts:
     """Prints the numbers of a run and writes its pictures; gives the numbers and where the pictures are."""
     with open_store(command.store, create=False) as store:
         run = record(store, newest(store) if command.run is None else store.find_run(command.run))
+        learned = told_by(store, run)
         others = [] if command.run is not None else [record(store, row) for row in store.runs()]
     folder = Path(command.out).expanduser() if command.out is not None else beside(command.store, run.id)
     facts = summary(run)
     out = output(command.json)
     if len(others) > 1:
         out.print(table_of_runs(others))
+    figures = pictures(run)
+    if learned is not None:
+        facts |= quality(learned.T, learned.P, AdditiveConfig(), folds=FOLDS) | {"weights": learned.weights}
+        unit = float(learned.reward.unit)
+        figures["beliefs"] = beliefs(learned.shapes, unit, learned.names, headline(run))
     out.print(table_of_numbers(run, facts))
-    return facts | {"pictures": saved(pictures(run), folder)}
+    return facts | {"pictures": saved(figures, folder)}
+
+
+def told_by(store: Store, run: Record) -> Told | None:
+    """What a run's answers say of the reward; None if it has none, or learns it by networks."""
+    config = from_plain(run.row.spec["config"]).reward
+    if not isinstance(config, AdditiveConfig) or not any(q.answer is not None for q in store.questions(run.id)):
+        return None
+    return told(run.row, *evidence_of(store, run.row), config)
 
 
 def compare(command: Compare) -> Facts:
@@ -141,6 +160,10 @@ def table_of_numbers(run: Record, facts: Facts) -> Table:
         "predicted answers, error": f"{known(facts['preference_deviation'])} in units of the return",
         "predicted answers, right sign": percent(facts["right_signs"]),
         "α, times σ of an answer": known(facts["alpha"]),
+        "worth of the next answer": "-"
+        if facts["worth"] is None
+        else f"{100 * facts['worth']:.2g} % of what was learned",
+        **(words_of(facts) if "held_out_accuracy" in facts else {}),
         "dynamics, one-step error": f"{known(facts['deviation'])} in units of the state",
         "dynamics, h-step error": ", ".join(f"{h}: {known(x)}" for h, x in facts["rollout_errors"].items()) or "-",
         "dynamics, coverage of 90 %": percent(facts["coverage"]),
@@ -152,6 +175,18 @@ def table_of_numbers(run: Record, facts: Facts) -> Table:
     }.items():
         table.add_row(name, words)
     return table
+
+
+def words_of(facts: Facts) -> dict[str, str]:
+    """How good a learned reward is, in words."""
+    said = {
+        "kept answers, right side": percent(facts["held_out_accuracy"]),
+        "kept answers, log likelihood": f"{known(facts['held_out_log_likelihood'])} nats an answer",
+        "kept numbers in their 90 % interval": percent(facts["coverage_90"]),
+        "same question, same side": percent(facts["consistency"]),
+    }
+    goes_by = ", ".join(f"{name} {percent(share)}" for name, share in facts["weights"].items())
+    return {name: words for name, words in said.items() if not words.startswith("-")} | {"r̂ goes by": goes_by}
 
 
 def table_of_arms(lines: Sequence[Facts]) -> Table:

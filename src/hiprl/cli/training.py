@@ -1,4 +1,4 @@
-"""`hiprl train` and `hiprl resume`."""
+"""`hiprl train`, and `hiprl resume` where a scripted judge answers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 
 from hiprl.api import judge_of, new_store, world_of
-from hiprl.cli.commands import DEFAULT_STORE, Facts, Resume, Train
+from hiprl.cli.commands import DEFAULT_STORE, Facts, Resume, Teach, Train
 from hiprl.cli.interrupt import stoppable
 from hiprl.cli.progress import duration, progress
 from hiprl.config import Config, asking, paper, preset
@@ -18,8 +18,9 @@ from hiprl.errors import InputError
 from hiprl.feedback.judges import judge_from
 from hiprl.feedback.judging import Judging
 from hiprl.report.tensorboard import EventFiles, event_folder
-from hiprl.session import RunSpec, carry_on, refuse_finished, spec_of, start
-from hiprl.store.store import Store, open_store
+from hiprl.session import RunSpec, carry_on, spec_of, start
+from hiprl.store.rows import RunRow
+from hiprl.store.store import Store
 from hiprl.world.build import world_from
 from hiprl.world.task import World
 
@@ -44,23 +45,20 @@ def train(command: Train) -> Facts:
         return follow(store, start(store, world, spec), world, judging, command)
 
 
-def resume(command: Resume) -> Facts:
-    """Goes on with a run that was stopped; gives its summary."""
-    with open_store(command.store, create=False) as store:
-        row = store.find_run(command.run)
-        refuse_finished(store, row.id)
-        judging = judge_of(row)
-        world = world_of(row, terminates=command.terminates)
-        if command.tensorboard is not None:
-            event_folder(command.tensorboard)
-        return follow(store, row.id, world, judging, command)
+def resume(store: Store, row: RunRow, command: Resume) -> Facts:
+    """Goes on with a run that a scripted judge answers; gives its summary."""
+    judging = judge_of(row)
+    world = world_of(row, terminates=command.terminates)
+    if command.tensorboard is not None:
+        event_folder(command.tensorboard)
+    return follow(store, row.id, world, judging, command)
 
 
 def config_of(command: Train, env: str) -> Config:
     """The preset's settings, with those of the flags that are set."""
     config = preset(command.preset, env)
     K = command.comparisons
-    changes: dict[str, Any] = {"comparisons": K, "warm_up": min(config.warm_up, K)}
+    changes: dict[str, Any] = {"comparisons": K, "warm_up": min(config.warm_up, K), "practice": command.practice}
     if command.optimism is not None:
         changes["optimism"] = command.optimism
     if command.search is not None:
@@ -128,12 +126,12 @@ def outcome(summary: Facts) -> str:
     return f"{learned} Return {mean:.1f} ± {std:.1f} over {n} episode{'s' if n > 1 else ''}."
 
 
-def typed(verb: str, run_id: str, store: Store, command: Train | Resume) -> str:
+def typed(verb: str, run_id: str, store: Store, command: Train | Resume | Teach) -> str:
     """What to type for a run in the store."""
     words = ["hiprl", verb, run_id]
     if command.store != DEFAULT_STORE:
         words += ["--store", store.name]
-    if verb == "resume" and command.tensorboard is not None:
+    if verb == "resume" and not isinstance(command, Teach) and command.tensorboard is not None:
         words += ["--tensorboard", command.tensorboard]
     if verb == "resume" and command.json:
         words += ["--json"]

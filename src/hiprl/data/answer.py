@@ -75,6 +75,13 @@ class Answer:
         """How many clips it is about."""
         return len(self.value) if isinstance(self.value, tuple) else 1 if self.form == "rating" else 2
 
+    @property
+    def side(self) -> int:
+        """1 if it says that the first of two clips is better, -1 the second; 0 if it says neither."""
+        if self.form in ("number", "choice", "level", "slider"):
+            return (self.value > 0) - (self.value < 0)
+        return 0
+
     def bounds(self) -> tuple[float, float]:
         """Between what the perceived difference lies, where a whole scale is 1. A number is its own bounds."""
         x = float(self.value) if _is_number(self.value) else 0.0
@@ -110,7 +117,7 @@ class Answer:
         if strange or not isinstance(plain.get("form"), str):
             raise InputError(
                 f"got an answer with the entries {', '.join(map(str, plain)) or 'none'}; it needs form, and value and "
-                "levels as the form says. Look at what `hiprl answers export` writes."
+                "levels as the form says. Look at what `hiprl export` writes."
             )
         return cls(form=plain["form"], value=plain.get("value"), levels=plain.get("levels"))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -84,6 +85,16 @@ class Said(eqx.Module):
         return cls(ints[0], jnp.asarray(low, jnp.float32), jnp.asarray(high, jnp.float32), ints[1])
 
 
+class Given(NamedTuple):
+    """An answer with what it is about, in plain values."""
+
+    answer: Answer
+    clips: Sequence[tuple[int, int, int]]
+    """Trajectory, first step and most steps of each clip, as they were shown."""
+    judge: int
+    at_hand: int
+
+
 class Preferences(eqx.Module):
     """P: answers with the clips they are about, in the order in which they came."""
 
@@ -103,6 +114,23 @@ class Preferences(eqx.Module):
         bounds = jnp.zeros(capacity)
         clips = Clip(jnp.full((capacity, m), NOBODY, jnp.int32), *[jnp.zeros((capacity, m), jnp.int32)] * 2)
         return cls(Said(zeros, bounds, bounds, zeros), clips, zeros, zeros, jnp.zeros((), jnp.int32))
+
+    @classmethod
+    def of(cls, given: Sequence[Given], capacity: int, *, m: int = 2) -> Preferences:
+        """P with these answers, at once."""
+        clips = np.zeros((3, capacity, m), np.int32)
+        clips[0] = NOBODY
+        bounds, ints = np.zeros((2, capacity), np.float32), np.zeros((4, capacity), np.int32)
+        for k, one in enumerate(given):
+            answer = one.answer
+            order = answer.value if isinstance(answer.value, tuple) else range(len(one.clips))
+            clips[:, k, : len(one.clips)] = np.array([one.clips[i] for i in order]).T
+            bounds[:, k] = answer.bounds()
+            ints[:, k] = KINDS.get(answer.form, Kind.LEVEL), answer.items, one.judge, one.at_hand
+        kind, items, judge, at_hand = jnp.asarray(ints)
+        low, high = jnp.asarray(bounds)
+        count = jnp.asarray(len(given), jnp.int32)
+        return cls(Said(kind, low, high, items), Clip(*jnp.asarray(clips)), judge, at_hand, count)
 
     @property
     def capacity(self) -> int:

@@ -17,7 +17,7 @@ from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import InputError
 from hiprl.models.features import AdditiveFeatures
 from hiprl.models.reward import AdditiveReward, EstimatedReward, clip_sum
-from hiprl.types import Key, Scalar
+from hiprl.types import Count, Key, Scalar
 
 Pick: TypeAlias = Literal["uniform", "information"]
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
@@ -73,9 +73,9 @@ def pick_clips(T: Trajectories, reward: EstimatedReward, config: QuestionConfig,
     if config.pick == "uniform" or not isinstance(reward, AdditiveReward):
         return _uniform(T, config, key=key)
     draw_key, aligned_key, kind_key = jr.split(key, 3)
-    anything = _draws(T, config, jnp.zeros((), bool), T.last, T.last, key=draw_key)
+    anything = drawn(T, config, key=draw_key)
     best = jnp.argmax(jnp.where(jnp.arange(T.capacity) < T.last, reward.returns(T), -jnp.inf))
-    aligned = _draws(T, config, jnp.ones((), bool), T.last, best, key=aligned_key)
+    aligned = _aligned(T, config, T.last, best, key=aligned_key)
     clips = jax.tree.map(partial(jnp.where, jr.bernoulli(kind_key, config.aligned)), aligned, anything)
     worth = information(T, reward, clips, config)
     return jax.tree.map(lambda x: x[jnp.argmax(worth)], clips)
@@ -88,12 +88,16 @@ def _uniform(T: Trajectories, config: QuestionConfig, *, key: Key) -> Clip:
     return _started(T, jnp.append(T.last, older), config, key=start_key)
 
 
-def _draws(T: Trajectories, config: QuestionConfig, align, first, second, *, key: Key) -> Clip:
-    """(n, items) clips of any trajectories; where aligned, of these two."""
+def drawn(T: Trajectories, config: QuestionConfig, *, key: Key) -> Clip:
+    """(n, items) clips of any trajectories."""
     of_key, start_key = jr.split(key)
-    of = jr.randint(of_key, (config.candidates, config.items), 0, T.count)
-    named = jnp.where(jnp.arange(config.items) % 2 == 0, first, second)[None]
-    return _started(T, jnp.where(align, jnp.broadcast_to(named, of.shape), of), config, key=start_key)
+    return _started(T, jr.randint(of_key, (config.candidates, config.items), 0, T.count), config, key=start_key)
+
+
+def _aligned(T: Trajectories, config: QuestionConfig, first: Count, second: Count, *, key: Key) -> Clip:
+    """(n, items) clips of these two trajectories by turns."""
+    named = jnp.where(jnp.arange(config.items) % 2 == 0, first, second)
+    return _started(T, jnp.broadcast_to(named, (config.candidates, config.items)), config, key=key)
 
 
 def _started(T: Trajectories, of: Array, config: QuestionConfig, *, key: Key) -> Clip:
@@ -111,7 +115,7 @@ def information(T: Trajectories, reward: AdditiveReward, clips: Clip, config: Qu
     Of a number it grows with σ_g, of a ranking with the volume of what is unknown of its differences: in these two
     cases only the order means something.
     """
-    psi = _differences(T, reward.features, clips, config)
+    psi = differences(T, reward.features, clips, config)
     mean = psi @ reward.mean
     half = psi @ reward.root.T
     prior = psi * jnp.sqrt(reward.prior)[None, None]
@@ -142,7 +146,9 @@ def expected_information(mean: Scalar, std: Scalar, cuts: Float[Array, " levels_
     return entropy(weights @ p) - weights @ entropy(p)
 
 
-def _differences(T: Trajectories, features: AdditiveFeatures, clips: Clip, config: QuestionConfig):
+def differences(
+    T: Trajectories, features: AdditiveFeatures, clips: Clip, config: QuestionConfig
+) -> Float[Array, "n items_less_1 D"]:
     """(n, items - 1, D): sums of φ of each clip less that of the last; of a single clip as they are."""
     H = T.rows.actions.shape[1]
     if config.clip is None or config.clip >= H:

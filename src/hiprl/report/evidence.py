@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from hiprl.data.preference import WHOLE, Clip, Preferences
+from hiprl.data.preference import WHOLE, Given, Preferences
 from hiprl.data.trajectory import trajectory_from
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import InputError
 from hiprl.models.estimate import RewardConfig, estimate_reward
-from hiprl.models.quality import Held, cross_validated
+from hiprl.models.quality import Held, Shape, cross_validated, shapes
 from hiprl.models.reward import AdditiveConfig, AdditiveReward
+from hiprl.spec import from_plain
 from hiprl.store.rows import QuestionRow, RunRow
 from hiprl.store.store import Store
+from hiprl.world.names import numbered
+
+MOST = 5  # entries of state and action that are named
 
 
 def evidence_of(store: Store, row: RunRow) -> tuple[Trajectories, Preferences]:
@@ -36,26 +41,33 @@ def evidence_of(store: Store, row: RunRow) -> tuple[Trajectories, Preferences]:
     T = Trajectories.empty(len(taus), H=H, p=p, q=q)
     for tau in taus:
         T = T.add(trajectory_from(tau.states, tau.actions, H=H, terminated=tau.terminated, rewards=tau.rewards))
-    judges = {name: i for i, name in enumerate(dict.fromkeys(answer.judge for answer in store.answers(row.id)))}
-    by_k = {answer.k: judges[answer.judge] for answer in store.answers(row.id)}
-    P = Preferences.empty(len(asked), m=max(2, *(len(question.clips) for question in asked)))
-    for question in asked:
-        assert question.answer is not None
-        # episode k's question came when k + 1 trajectories were there
-        P = P.answered(question.answer, clips_of(question), judge=by_k[question.k], at_hand=jnp.asarray(question.k + 1))
-    return T, P
+    return T, given_in(store, row, asked, capacity=len(asked))
 
 
-def clips_of(question: QuestionRow) -> list[Clip]:
-    """What a question shows."""
-    return [Clip.at(clip.of, clip.start, WHOLE if clip.length is None else clip.length) for clip in question.clips]
+def given_in(store: Store, row: RunRow, asked: Sequence[QuestionRow], *, capacity: int) -> Preferences:
+    """The newest answers to these questions, in a P of this room."""
+    by = {answer.k: answer.judge for answer in store.answers(row.id)}
+    judges = {name: i for i, name in enumerate(dict.fromkeys(by.values()))}
+    config = from_plain(row.spec["config"])
+    given = [
+        Given(
+            answer=question.answer,
+            clips=[(clip.of, clip.start, WHOLE if clip.length is None else clip.length) for clip in question.clips],
+            judge=judges[by[question.k]],
+            # an old store does not say: the newest was the one that had been executed for it
+            at_hand=question.at_hand or config.number_after(question.k - 1) + 1,
+        )
+        for question in asked
+        if question.answer is not None
+    ]
+    return Preferences.of(given, capacity, m=max(2, *(len(one.clips) for one in given), config.question.items))
 
 
-def relearned(T: Trajectories, P: Preferences, config: AdditiveConfig) -> AdditiveReward:
-    """The reward learned from these answers, from nothing."""
-    reward = estimate_reward(P, T, None, config)
-    assert isinstance(reward, AdditiveReward)
-    return reward
+def names_of(row: RunRow, T: Trajectories) -> list[str]:
+    """What the entries of (s, a) are called; their numbers, where the run does not say."""
+    plain = numbered(T.rows.states.shape[2], T.rows.actions.shape[2])
+    named = row.spec.get("names") or plain._asdict()
+    return [*named["state"], *named["action"]]
 
 
 def as_said(P: Preferences, form: str) -> Preferences:
@@ -75,6 +87,41 @@ def as_said(P: Preferences, form: str) -> Preferences:
         high=jnp.where(told, high, P.said.high),
     )
     return replace(P, said=said)
+
+
+class Told(NamedTuple):
+    """What a run's answers say of the reward."""
+
+    T: Trajectories
+    P: Preferences
+    reward: AdditiveReward
+    shapes: Shape
+    names: list[str]
+    """Of the entries of (s, a)."""
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """The entries that r̂ goes by most, with their share in it."""
+        return shares(self.shapes, self.names)
+
+    @property
+    def best(self) -> int:
+        """Number of the trajectory that r̂ ranks best."""
+        return int(np.argmax(np.asarray(self.reward.returns(self.T))))
+
+
+def shares(shapes: Shape, names: Sequence[str]) -> dict[str, float]:
+    """The entries of (s, a) that r̂ goes by most, with their share in it."""
+    weights = np.asarray(shapes.weight)
+    total = float(weights.sum()) or 1.0
+    return {str(names[j]): float(weights[j]) / total for j in np.argsort(-weights)[:MOST].tolist()}
+
+
+def told(row: RunRow, T: Trajectories, P: Preferences, config: AdditiveConfig) -> Told:
+    """The reward learned from these answers, from nothing, and what it goes by."""
+    reward = estimate_reward(P, T, None, config)
+    assert isinstance(reward, AdditiveReward)
+    return Told(T, P, reward, shapes(reward, T), names_of(row, T))
 
 
 def quality(T: Trajectories, P: Preferences, config: RewardConfig, *, folds: int = 10) -> dict[str, Any]:

@@ -59,9 +59,7 @@ class Record:
     @property
     def best(self) -> np.ndarray:
         """True return of the policy's episode that r̂ ranked best at that time; NaN in the warm-up."""
-        by_k = {episode["k"]: episode.get("true_return") for episode in self.episodes}
-        chosen = [by_k.get(episode.get("best_trajectory")) for episode in self.episodes]
-        return np.array([np.nan if x is None else float(x) for x in chosen])
+        return self.series("best_return")
 
     @property
     def surprise(self) -> np.ndarray:

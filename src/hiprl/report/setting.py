@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from hiprl.config import PRESETS, asking, preset
+from hiprl.config import PEOPLE, PRESETS, asking, preset, teachable
 from hiprl.feedback.judges import judge_from
 from hiprl.spec import to_plain
 from hiprl.store.rows import RunRow
@@ -45,7 +45,9 @@ def of_preset(name: str, row: RunRow) -> Mapping[str, Any]:
     """The preset as plain values, with as many comparisons as the run."""
     config, K = preset(name, row.env), row.spec["config"]["comparisons"]
     config = replace(config, comparisons=K, warm_up=min(config.warm_up, K))
-    if row.spec["judge"] != CUSTOM:
+    if row.spec["judge"] == PEOPLE:
+        config = teachable(config)
+    elif row.spec["judge"] != CUSTOM:
         config = asking(config, judge_from(row.spec["judge"]))
     return to_plain(config)
 

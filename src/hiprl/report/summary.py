@@ -35,6 +35,7 @@ def summary(record: Record) -> Facts:
         "beta": last.get("beta"),
         "kappa": last.get("kappa"),
         "alpha": last.get("alpha"),
+        "worth": last.get("worth"),
         "deviation": recent(record.series("deviation")),
         "rollout_errors": {h: recent(record.series(h, within="rollout_errors")) for h in horizons(record)},
         "preference_deviation": recent(np.abs(record.series("g") - record.series("g_predicted"))),
@@ -57,10 +58,10 @@ def horizons(record: Record) -> list[str]:
 
 
 def right_signs(record: Record) -> float | None:
-    """Share of the answers in the episodes with a policy whose sign r̂ had predicted."""
-    g, predicted = record.series("g"), record.series("g_predicted")
-    told = record.searched & np.isfinite(g) & np.isfinite(predicted) & (g != 0)
-    return float(np.mean(np.sign(g[told]) == np.sign(predicted[told]))) if told.any() else None
+    """Share of the answers in the episodes with a policy whose side r̂ had foreseen."""
+    told = record.series("foreseen")[record.searched]
+    told = told[np.isfinite(told)]
+    return float(np.mean(told)) if len(told) else None
 
 
 def recent(series: np.ndarray) -> float | None:

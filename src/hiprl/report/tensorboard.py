@@ -11,7 +11,7 @@ from hiprl.report.record import Facts
 
 GROUPS = {
     "return": ("true_return", "return_by_reward"),
-    "answer": ("g", "g_predicted", "sigma_g", "alpha"),
+    "answer": ("g", "g_predicted", "sigma_g", "alpha", "foreseen", "worth"),
     "dynamics": ("beta", "kappa", "deviation", "relative_error", "coverage"),
     "search": ("imagined", "imagined_worst", "executed", "overpromised"),
     "episode": ("length", "env_steps", "best_trajectory"),

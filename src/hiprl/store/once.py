@@ -9,10 +9,12 @@ from typing import Any, NoReturn
 
 import sqlalchemy as sa
 
+from hiprl.data.answer import Answer
 from hiprl.errors import InputError, StoreError
-from hiprl.store.rows import ClipRow, TrajectoryRow
-from hiprl.store.schema import checkpoints, episodes, finals, questions, runs, trajectories
+from hiprl.store.rows import ClipRow, TrajectoryRow, number_of
+from hiprl.store.schema import answers, checkpoints, episodes, finals, questions, runs, trajectories
 
+trajectory_columns = [column for column in trajectories.c if column.name != "film"]  # which is large, and seldom wanted
 _KEPT_CHECKPOINTS = 2
 _MOST_CLIPS = 8  # of a question: more cannot be kept in mind
 
@@ -34,12 +36,12 @@ def refuse_run(connection: sa.Connection, run_id: str, name: str) -> NoReturn:
     )
 
 
-def add_trajectory(connection: sa.Connection, run_id: str, row: TrajectoryRow) -> None:
+def add_trajectory(connection: sa.Connection, run_id: str, row: TrajectoryRow, film: bytes | None = None) -> None:
     """A trajectory under its number."""
     mine = (trajectories.c.run_id == run_id) & (trajectories.c.number == row.number)
-    stored = connection.execute(sa.select(trajectories).where(mine)).one_or_none()
+    stored = connection.execute(sa.select(*trajectory_columns).where(mine)).one_or_none()
     if stored is None:
-        connection.execute(sa.insert(trajectories).values(run_id=run_id, **row.values()))
+        connection.execute(sa.insert(trajectories).values(run_id=run_id, film=film, **row.values()))
         return
     difference = TrajectoryRow.read(stored).differs_from(row)
     if difference:
@@ -54,7 +56,8 @@ def add_question(connection: sa.Connection, run_id: str, k: int, clips: Sequence
     stored = connection.execute(sa.select(questions).where(mine)).one_or_none()
     if stored is None:
         row = {"first": clips[0].of, "second": clips[:2][-1].of, "clips": [clip.plain() for clip in clips]}
-        row |= {"run_id": run_id, "k": k, "created_at": datetime.now(UTC)}
+        at_hand = sa.select(sa.func.count()).where(trajectories.c.run_id == run_id).scalar_subquery()
+        row |= {"run_id": run_id, "k": k, "created_at": datetime.now(UTC), "at_hand": at_hand}
         return connection.execute(sa.insert(questions).values(row).returning(questions.c.id)).scalar_one()
     before = [ClipRow(*clip) for clip in stored.clips]
     if before != clips:
@@ -90,6 +93,41 @@ def _check_clips(connection: sa.Connection, run_id: str, clips: Sequence[ClipRow
                 f"got a clip of {clip.length} steps of trajectory {clip.of}; at least 1 is needed. "
                 "Take more, or None to go on to its end."
             )
+
+
+def add_answer(connection: sa.Connection, run_id: str, k: int, answer: Answer, judge: str, swapped: bool) -> bool:
+    """An answer to episode k's question; False, and nothing, if this judge's newest answer is the same."""
+    mine = (questions.c.run_id == run_id) & (questions.c.k == k)
+    asked = connection.execute(sa.select(questions.c.id, questions.c.clips).where(mine)).one_or_none()
+    if asked is None:
+        raise InputError(
+            f"run {run_id} asks nothing in episode {k}; an answer needs its question. "
+            "Wait until the episode was executed, or check the run's id."
+        )
+    if answer.form != "unsure" and answer.items != len(asked.clips):
+        raise InputError(
+            f"got an answer of the form {answer.form!r}, which is about {_counted(answer.items)}, where run "
+            f"{run_id} asks in episode {k} about {_counted(len(asked.clips))}; it must be about as many. "
+            f"Give {_fitting(len(asked.clips))}, or say that you cannot tell."
+        )
+    g = number_of(answer)
+    said = answer.plain() | ({} if g is None else {"value": g})
+    newest = sa.select(answers.c.said, answers.c.judge).where(answers.c.question_id == asked.id)
+    before = connection.execute(newest.order_by(answers.c.id.desc()).limit(1)).one_or_none()
+    if before is not None and (before.said, before.judge) == (said, judge):
+        return False
+    row = {"g": g, "said": said, "judge": judge, "swapped": swapped, "created_at": datetime.now(UTC)}
+    connection.execute(sa.insert(answers).values(question_id=asked.id, **row))
+    return True
+
+
+def _counted(n: int) -> str:
+    return "1 clip" if n == 1 else f"{n} clips"
+
+
+def _fitting(n: int) -> str:
+    """An answer to a question about so many clips, in words."""
+    return "a rating" if n == 1 else "one of the two, or a number" if n == 2 else f"a ranking of all {n}"
 
 
 def add_episode(connection: sa.Connection, run_id: str, k: int, facts: Mapping[str, Any], checkpoint: bytes) -> None:

@@ -154,6 +154,8 @@ class QuestionRow:
     created_at: datetime
     answer: Answer | None
     """The newest one. None while it is open."""
+    at_hand: int | None = None
+    """How many trajectories there were when it was asked; None where an old store does not say."""
 
     @classmethod
     def read(cls, row: Any) -> QuestionRow:
@@ -167,6 +169,7 @@ class QuestionRow:
             clips=tuple(ClipRow(*clip) for clip in row.clips),
             created_at=row.created_at,
             answer=None if row.said is None else Answer.read(row.said),
+            at_hand=row.at_hand,
         )
 
     @property

@@ -1,4 +1,4 @@
-"""The tables. Facts are only added; leases change, and checkpoints but the newest two are dropped."""
+"""The tables. Facts are only added; leases and claims change, and checkpoints but the newest two are dropped."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.engine import Dialect
 
-HEAD = "0002"
+HEAD = "0003"
 """Revision of the newest migration: what these tables are."""
 VERSION_TABLE = "hiprl_version"
 """Where a store keeps its revision. A database without it is not ours."""
@@ -97,6 +97,23 @@ trajectories = sa.Table(
     sa.Column("rewards", sa.LargeBinary, nullable=False),  # (length,)
     sa.Column("length", sa.Integer, nullable=False),
     sa.Column("terminated", sa.Boolean, nullable=False),
+    sa.Column("film", sa.LargeBinary),  # what a person is shown of it, `hiprl.data.film`
+)
+
+scenes = sa.Table(
+    "scenes",
+    metadata,
+    _of_run(),
+    sa.Column("scene", Json, nullable=False),  # what the films of a run play in
+)
+
+goals = sa.Table(
+    "goals",
+    metadata,
+    sa.Column("id", _Number, primary_key=True),  # the greatest is the newest, and the newest counts
+    sa.Column("run_id", sa.ForeignKey("runs.id"), nullable=False, index=True),
+    sa.Column("words", sa.Text, nullable=False),  # what a judge wants to be done
+    _created_at(),
 )
 
 questions = sa.Table(
@@ -109,6 +126,7 @@ questions = sa.Table(
     sa.Column("second", sa.Integer, nullable=False),  # of the second; of the first if there is but one
     _created_at(),
     sa.Column("clips", Json, nullable=False),  # [[trajectory, first step, at most so many or null], ...]
+    sa.Column("at_hand", sa.Integer),  # how many trajectories there were; unknown in old stores
     sa.UniqueConstraint("run_id", "k"),
     sa.ForeignKeyConstraint(["run_id", "first"], ["trajectories.run_id", "trajectories.number"]),
     sa.ForeignKeyConstraint(["run_id", "second"], ["trajectories.run_id", "trajectories.number"]),
@@ -124,6 +142,14 @@ answers = sa.Table(
     sa.Column("swapped", sa.Boolean, nullable=False),  # the judge was shown the second one first
     _created_at(),
     sa.Column("said", Json, nullable=False),  # the whole answer, `Answer.plain()`
+)
+
+claims = sa.Table(
+    "claims",
+    metadata,
+    sa.Column("question_id", sa.ForeignKey("questions.id"), primary_key=True, autoincrement=False),
+    sa.Column("judge", sa.Text, nullable=False),  # who looks at it just now; nobody else is asked until it expires
+    sa.Column("expires_at", Utc, nullable=False),
 )
 
 episodes = sa.Table(

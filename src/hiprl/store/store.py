@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,29 @@ from hiprl.errors import InputError
 from hiprl.store.engine import Database, connect
 from hiprl.store.lease import Lease, Owner, hold
 from hiprl.store.migrate import bring_up_to_date
-from hiprl.store.once import add_episode, add_final, add_question, add_trajectory, lock_run, refuse_run
-from hiprl.store.rows import AnswerRow, ClipRow, Executed, Kind, QuestionRow, RunRow, TrajectoryRow, number_of
-from hiprl.store.schema import answers, checkpoints, episodes, finals, questions, runs, trajectories
+from hiprl.store.once import (
+    add_answer,
+    add_episode,
+    add_final,
+    add_question,
+    add_trajectory,
+    lock_run,
+    refuse_run,
+    trajectory_columns,
+)
+from hiprl.store.rows import AnswerRow, ClipRow, Executed, Kind, QuestionRow, RunRow, TrajectoryRow
+from hiprl.store.schema import (
+    answers,
+    checkpoints,
+    claims,
+    episodes,
+    finals,
+    goals,
+    questions,
+    runs,
+    scenes,
+    trajectories,
+)
 
 _LONGEST = 2**63 - 1  # of an integer in either database
 
@@ -142,15 +162,15 @@ class Store:
 
     # Trajectories
 
-    def add_trajectory(self, run_id: str, number: int, tau: Executed, kind: Kind) -> None:
-        """Keep τ as number `number` of the run's T.
+    def add_trajectory(self, run_id: str, number: int, tau: Executed, kind: Kind, *, film: bytes | None = None) -> None:
+        """Keep τ as number `number` of the run's T, with what a person is shown of it.
 
         Raises:
             StoreError: another one is stored under this number.
         """
         with self._database.writing() as connection:
             lock_run(connection, run_id, self.name)
-            add_trajectory(connection, run_id, TrajectoryRow.of(tau, number=number, kind=kind))
+            add_trajectory(connection, run_id, TrajectoryRow.of(tau, number=number, kind=kind), film)
 
     def trajectory(self, run_id: str, number: int) -> TrajectoryRow:
         """One trajectory of a run.
@@ -160,7 +180,7 @@ class Store:
         """
         with self._database.reading() as connection:
             mine = (trajectories.c.run_id == run_id) & (trajectories.c.number == number)
-            row = connection.execute(sa.select(trajectories).where(mine)).one_or_none()
+            row = connection.execute(sa.select(*trajectory_columns).where(mine)).one_or_none()
         if row is None:
             raise InputError(
                 f"run {run_id!r} has no trajectory {number}; the number of one that was executed is needed. "
@@ -171,8 +191,48 @@ class Store:
     def trajectories(self, run_id: str) -> list[TrajectoryRow]:
         """T, in the order of execution."""
         with self._database.reading() as connection:
-            query = sa.select(trajectories).where(trajectories.c.run_id == run_id).order_by(trajectories.c.number)
+            query = (
+                sa.select(*trajectory_columns).where(trajectories.c.run_id == run_id).order_by(trajectories.c.number)
+            )
             return [TrajectoryRow.read(row) for row in connection.execute(query)]
+
+    def film(self, run_id: str, number: int) -> bytes | None:
+        """What a person is shown of a trajectory; None if it was not filmed."""
+        mine = (trajectories.c.run_id == run_id) & (trajectories.c.number == number)
+        with self._database.reading() as connection:
+            return connection.execute(sa.select(trajectories.c.film).where(mine)).scalar()
+
+    def newest(self, run_id: str, kind: Kind) -> int | None:
+        """Number of the newest trajectory of this kind; None if there is none."""
+        mine = (trajectories.c.run_id == run_id) & (trajectories.c.kind == kind)
+        with self._database.reading() as connection:
+            return connection.execute(sa.select(sa.func.max(trajectories.c.number)).where(mine)).scalar()
+
+    # What a person is told
+
+    def set_scene(self, run_id: str, scene: Mapping[str, Any]) -> None:
+        """Keep what the films of a run play in; the first one stays."""
+        with self._database.writing() as connection:
+            lock_run(connection, run_id, self.name)
+            if connection.execute(sa.select(scenes.c.run_id).where(scenes.c.run_id == run_id)).first() is None:
+                connection.execute(sa.insert(scenes).values(run_id=run_id, scene=dict(scene)))
+
+    def scene(self, run_id: str) -> dict[str, Any] | None:
+        """What the films of a run play in; None if it has none."""
+        with self._database.reading() as connection:
+            return connection.execute(sa.select(scenes.c.scene).where(scenes.c.run_id == run_id)).scalar()
+
+    def set_goal(self, run_id: str, words: str) -> None:
+        """Keep what is wanted, in a judge's own words."""
+        with self._database.writing() as connection:
+            lock_run(connection, run_id, self.name)
+            connection.execute(sa.insert(goals).values(run_id=run_id, words=words, created_at=datetime.now(UTC)))
+
+    def goal(self, run_id: str) -> str | None:
+        """What is wanted, in a judge's own words; None while nobody has said."""
+        query = sa.select(goals.c.words).where(goals.c.run_id == run_id).order_by(goals.c.id.desc()).limit(1)
+        with self._database.reading() as connection:
+            return connection.execute(query).scalar()
 
     # Questions and answers
 
@@ -222,7 +282,34 @@ class Store:
         with self._database.reading() as connection:
             return [QuestionRow.read(row) for row in connection.execute(query)]
 
-    def answer(self, run_id: str, k: int, answer: Answer, judge: str, *, swapped: bool = False) -> None:
+    def claim(self, run_id: str, judge: str, *, seconds: float = 60.0) -> QuestionRow | None:
+        """The oldest open question of a run that nobody else is looking at; it is this judge's for a while.
+
+        None if there is none. Two judges are never asked the same at the same time.
+        """
+        now = datetime.now(UTC)
+        with self._database.writing() as connection:
+            lock_run(connection, run_id, self.name)
+            free = (claims.c.question_id.is_(None)) | (claims.c.judge == judge) | (claims.c.expires_at < now)
+            query = (
+                sa.select(questions.c.id)
+                .select_from(questions.outerjoin(claims).outerjoin(answers))
+                .where(questions.c.run_id == run_id, answers.c.id.is_(None), free)
+                .order_by(questions.c.k)
+                .limit(1)
+            )
+            question_id = connection.execute(query).scalar()
+            if question_id is None:
+                return None
+            connection.execute(sa.delete(claims).where(claims.c.question_id == question_id))
+            until = now + timedelta(seconds=seconds)
+            connection.execute(sa.insert(claims).values(question_id=question_id, judge=judge, expires_at=until))
+            row = connection.execute(
+                sa.select(questions, sa.null().label("said")).where(questions.c.id == question_id)
+            ).one()
+            return QuestionRow.read(row)
+
+    def answer(self, run_id: str, k: int, answer: Answer, judge: str, *, swapped: bool = False) -> bool:
         """Keep an answer to episode k's question; it replaces earlier ones, which stay to be seen.
 
         Args:
@@ -232,27 +319,22 @@ class Store:
             judge: who says so.
             swapped: whether the judge was shown the second one first.
 
+        Returns:
+            False if this judge's newest answer was the same: said twice is said once.
+
         Raises:
             InputError: nothing is asked there, or the answer is about more or fewer clips than the question.
         """
+        return self.answer_all(run_id, [(k, answer, judge, swapped)]) == 1
+
+    def answer_all(self, run_id: str, given: Iterable[tuple[int, Answer, str, bool]]) -> int:
+        """`answer` for several (k, answer, judge, swapped): all of them or, if one is refused, none.
+
+        Returns:
+            How many were new.
+        """
         with self._database.writing() as connection:
-            mine = (questions.c.run_id == run_id) & (questions.c.k == k)
-            asked = connection.execute(sa.select(questions.c.id, questions.c.clips).where(mine)).one_or_none()
-            if asked is None:
-                raise InputError(
-                    f"run {run_id} asks nothing in episode {k}; an answer needs its question. "
-                    "Wait until the episode was executed, or check the run's id."
-                )
-            if answer.form != "unsure" and answer.items != len(asked.clips):
-                raise InputError(
-                    f"got an answer of the form {answer.form!r}, which is about {_clips(answer.items)}, where run "
-                    f"{run_id} asks in episode {k} about {_clips(len(asked.clips))}; it must be about as many. "
-                    f"Give {_fitting(len(asked.clips))}, or say that you cannot tell."
-                )
-            g = number_of(answer)
-            said = answer.plain() | ({} if g is None else {"value": g})
-            row = {"g": g, "said": said, "judge": judge, "swapped": swapped, "created_at": datetime.now(UTC)}
-            connection.execute(sa.insert(answers).values(question_id=asked.id, **row))
+            return sum(add_answer(connection, run_id, *one) for one in given)
 
     def answer_of(self, run_id: str, k: int) -> Answer | None:
         """The newest answer to episode k's question; None while there is none."""
@@ -313,12 +395,3 @@ class Store:
         """The policy of a finished run; None while it is not."""
         with self._database.reading() as connection:
             return connection.execute(sa.select(finals.c.policy).where(finals.c.run_id == run_id)).scalar()
-
-
-def _clips(n: int) -> str:
-    return "1 clip" if n == 1 else f"{n} clips"
-
-
-def _fitting(n: int) -> str:
-    """An answer to a question about so many clips, in words."""
-    return "a rating" if n == 1 else "one of the two, or a number" if n == 2 else f"a ranking of all {n}"

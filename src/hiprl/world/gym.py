@@ -11,9 +11,12 @@ import jax.random as jr
 import numpy as np
 from gymnasium import spaces
 
+from hiprl.data.film import Film
 from hiprl.data.trajectory import Trajectory, trajectory_from
 from hiprl.errors import InputError, WorldError
 from hiprl.types import Action, Actor, Key, State
+from hiprl.world.camera import Camera, camera_of
+from hiprl.world.names import Names, names_of
 from hiprl.world.quiet import quiet
 from hiprl.world.task import Terminates, World
 from hiprl.world.termination import known_rule, never
@@ -63,6 +66,8 @@ class GymWorld(World):
         self.ends = self.terminates is not never
         low, high = env.action_space.low, env.action_space.high  # pyright: ignore[reportAttributeAccessIssue]
         self._low, self._high = low, high
+        self._camera: Camera | None = None
+        self._looks: list[Any] = []
         self._centre, self._half = low / 2 + high / 2, high / 2 - low / 2
 
     def roll_out(self, actor: Actor, *, key: Key) -> Trajectory:
@@ -74,11 +79,13 @@ class GymWorld(World):
         terminated, n = False, 0
         with quiet():
             states[0] = self._reset(int(jr.bits(seed_key)))
+            self._looks = self._look()
             while n < self.H:
                 a = np.asarray(_act(tree, leaves, states[n], act_key, np.int32(n)))
                 s_next, reward, terminated, truncated = self._step(a, n)
                 states[n + 1], actions[n], rewards[n] = s_next, a, reward
                 n += 1
+                self._looks += self._look()
                 if terminated or truncated:
                     break
         return trajectory_from(states[: n + 1], actions[:n], H=self.H, terminated=terminated, rewards=rewards[:n])
@@ -86,11 +93,25 @@ class GymWorld(World):
     def scaled(self, a: np.ndarray) -> np.ndarray:
         return np.minimum(np.maximum(self._centre + self._half * a, self._low), self._high)
 
+    def start_filming(self) -> dict[str, Any] | None:
+        self._camera = camera_of(self.env)
+        return None if self._camera is None else self._camera.scene
+
+    @property
+    def film(self) -> Film | None:
+        return None if self._camera is None or not self._looks else self._camera.film(self._looks)
+
+    def names(self) -> Names:
+        return names_of(self.env, self.p, self.q)
+
     def spec(self) -> str | None:
         return self._spec
 
     def close(self) -> None:
         self.env.close()
+
+    def _look(self) -> list[Any]:
+        return [] if self._camera is None else [self._camera.look()]
 
     def _reset(self, seed: int) -> np.ndarray:
         try:

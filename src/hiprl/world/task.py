@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import numpy as np
 
+from hiprl.data.film import Film
 from hiprl.data.trajectory import Trajectory
 from hiprl.types import Action, Actor, Flag, Key, Scalar, State
+from hiprl.world.names import Names, numbered
 
 Terminates = Callable[[State, Action, State], Flag]
 """(s, a, s′) to True where the world ends an episode with that step. Pure JAX, one transition at a time."""
@@ -42,6 +44,19 @@ class World(ABC):
     def scaled(self, a: np.ndarray) -> np.ndarray:
         """Actions in [-1, 1] as the world's own: one (q,) or a batch (n, q)."""
         return a
+
+    def names(self) -> Names:
+        """What the entries of its states and actions are called."""
+        return numbered(self.p, self.q)
+
+    def start_filming(self) -> dict[str, Any] | None:
+        """Films every episode from now on; gives the scene, or None if there is nothing to be seen of this world."""
+        return None
+
+    @property
+    def film(self) -> Film | None:
+        """Of the newest episode; None if it was not filmed."""
+        return None
 
     def spec(self) -> str | None:
         """What `world_from` makes this environment from in another process; None if made from an object.

@@ -1,0 +1,133 @@
+"""A scripted person at the real page: a browser, eyes on the clips' bodies alone, and keys.
+
+Needs Playwright (in hiprl's extra `dev`) and a Chromium of the system.
+"""
+
+from __future__ import annotations
+
+import base64
+import os
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+
+CHROMIUM = next((at for name in ("chromium", "chromium-browser", "google-chrome") if (at := shutil.which(name))), None)
+FLAGS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader", "--disable-background-networking"]
+STARTING = 120.0  # seconds for a page to come up on a busy machine
+
+
+class Started(NamedTuple):
+    """A `hiprl teach` or `hiprl serve` in a process of its own."""
+
+    process: subprocess.Popen
+    address: str
+    """That it printed; it lets one browser in."""
+    said: list[str]
+    """What it wrote to stderr so far, line by line."""
+
+
+@contextmanager
+def started(*words: str, env: dict[str, str] | None = None) -> Iterator[Started]:
+    """Runs `hiprl` with these words, which show a page."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "hiprl", *words],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stdin=subprocess.DEVNULL,
+        text=True,
+        env=os.environ | (env or {}),
+    )
+    said: list[str] = []
+    listener = threading.Thread(target=lambda: said.extend(iter(process.stderr.readline, "")), daemon=True)
+    listener.start()
+    try:
+        until = time.monotonic() + STARTING
+        while not any(line.startswith("Open ") for line in said):
+            if time.monotonic() > until or process.poll() is not None:
+                raise RuntimeError(f"no page came up: {''.join(said)}")
+            time.sleep(0.1)
+        address = next(line for line in said if line.startswith("Open ")).removeprefix("Open ").strip()
+        yield Started(process, address, said)
+    finally:
+        process.terminate()
+        try:
+            process.wait(10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        listener.join()
+        process.stdout.close()
+        process.stderr.close()
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """A browser without a window, with WebGL in software."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+class Person:
+    """Looks at what the page was sent about each pair, and answers with the keys of the page."""
+
+    def __init__(self, page: Any, better: Callable[[np.ndarray], float], *, bodies: int):
+        """Who wants something.
+
+        Args:
+            page: the browser's.
+            better: a number for the poses (frames, bodies, 7) of a clip; more is more what is wanted.
+            bodies: of the model.
+        """
+        self.page, self.better, self.bodies = page, better, bodies
+        self.worths: list[float] = []
+        """Of all clips seen so far: what is much is judged by what there is."""
+        self.shown: dict | None = None
+        self.waits: list[float] = []
+        """Seconds from each answer to the next pair."""
+        page.on("response", self._look)
+
+    def _look(self, response: Any) -> None:
+        if "/next?" in response.url and response.ok and (question := response.json()["question"]) is not None:
+            self.shown = question
+
+    def worth(self, clip: dict) -> float:
+        """How good a clip is."""
+        return self.better(np.frombuffer(base64.b64decode(clip["poses"]), "<f4").reshape(-1, self.bodies, 7))
+
+    def key(self) -> str:
+        """One of five levels, from 1 the left much better to 5 the right."""
+        left, right = map(self.worth, self.shown["clips"])
+        self.worths += [left, right]
+        gap = (right - left) / (float(np.std(self.worths)) or 1.0)
+        return str(3 + round(min(max(1.5 * gap, -2), 2)))
+
+    def answer(self, n: int, *, pause: float = 0.5, patience: float = 300.0) -> int:
+        """Answers so many questions, or as many as there are; gives how many there were."""
+        for done in range(n):
+            began, before = time.monotonic(), self.shown
+            while self.shown is before and self.shown is not None and done:
+                if time.monotonic() - began > patience:
+                    return done
+                self.page.wait_for_timeout(50)
+            while self.shown is None:
+                if time.monotonic() - began > patience:
+                    return done
+                self.page.wait_for_timeout(50)
+            if done:
+                self.waits.append(time.monotonic() - began)
+            self.page.wait_for_timeout(1000 * pause)
+            self.page.keyboard.press(self.key())
+        return n

@@ -1,0 +1,107 @@
+"""`hiprl serve`: the labelling page alone."""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import os
+import signal
+import socket
+import sys
+import threading
+import webbrowser
+from urllib.parse import quote
+
+import uvicorn
+
+from hiprl.cli.commands import Facts, Serve
+from hiprl.errors import InputError
+from hiprl.store.store import open_store
+from hiprl.web.access import Doors
+from hiprl.web.app import app_of
+
+PASSWORD = "HIPRL_PASSWORD"
+"""Of the page, in the environment: a command line is for all to see."""
+WITH_PARENT = "HIPRL_WITH_PARENT"
+"""Set where the page is to end with the process that began it: when its input ends."""
+TRIED_PORTS = 20
+
+
+def serve(command: Serve) -> Facts:
+    """Shows the page until Ctrl-C; gives where it was."""
+    with open_store(command.store, create=False) as store:
+        run_id = None if command.run is None else store.find_run(command.run).id
+        listener = listening(command.host, command.port)
+        host, port = listener.getsockname()[:2]
+        home = "localhost" if loopback(host) else host
+        to = "/" if run_id is None else f"/runs/{run_id}/teach"
+
+        def address(token: str) -> str:
+            return f"http://{home}:{port}/enter?token={token}&next={quote(to)}"
+
+        def again(token: str) -> None:
+            say(f"In another browser: {address(token)}")
+
+        doors = Doors(os.environ.get(PASSWORD) or None, told=again)
+        hosts = ["localhost", "127.0.0.1", "[::1]"] if loopback(host) else ["*"]
+        app = app_of(store, doors, hosts=hosts)
+        quietly = uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=1, server_header=False)
+        server = uvicorn.Server(quietly)
+        if os.environ.get(WITH_PARENT):
+            threading.Thread(target=end_with_input, args=(server,), daemon=True).start()
+        say(f"Open {address(doors.token)}")
+        if not loopback(host):
+            say("Others can reach this page: who has the address or the password may answer.")
+        if command.browser and graphical():
+            threading.Thread(target=webbrowser.open, args=(address(doors.token),), daemon=True).start()
+        with contextlib.suppress(KeyboardInterrupt):
+            server.run(sockets=[listener])
+        return {"address": f"http://{home}:{port}", "store": store.name}
+
+
+def listening(host: str, port: int) -> socket.socket:
+    """A socket at this port, or at the next free one."""
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        for tried in range(port, min(port + TRIED_PORTS, 65536)):
+            listener = socket.socket(family)
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                listener.bind((host, tried))
+            except OSError as e:
+                listener.close()
+                if e.errno not in (98, 48, 10048):  # in use, on Linux, macOS and Windows
+                    raise
+                continue
+            return listener
+    except (OSError, OverflowError) as e:
+        raise InputError(
+            f"cannot listen at {host} port {port} ({e}); an address of this machine and a free port are needed. "
+            "Leave both out, or say for example `--port 8700`."
+        ) from e
+    raise InputError(f"the ports from {port} on are all in use; a free one is needed. Say for example `--port 8700`.")
+
+
+def loopback(host: str) -> bool:
+    """Whether only this machine can reach this address."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def graphical() -> bool:
+    """Whether a browser would have a window; one in the terminal would be in the way."""
+    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def end_with_input(server: uvicorn.Server) -> None:
+    """Ends the page when the process that began it is gone."""
+    sys.stdin.buffer.read()
+    os.kill(os.getpid(), signal.SIGINT)
+    server.should_exit = True
+
+
+def say(words: str) -> None:
+    """Words for a person, on stderr."""
+    print(words, file=sys.stderr, flush=True)

@@ -1,0 +1,105 @@
+"""`hiprl teach`, and `hiprl resume` where people answer: a trainer, and the page on which people answer."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+
+from rich.console import Console
+
+from hiprl.api import new_store, world_of
+from hiprl.cli.commands import Facts, Resume, Teach
+from hiprl.cli.interrupt import stoppable
+from hiprl.cli.progress import progress
+from hiprl.cli.serving import WITH_PARENT
+from hiprl.cli.training import outcome, tell, typed
+from hiprl.config import PEOPLE, Config, teachable
+from hiprl.errors import InputError
+from hiprl.session import RunSpec, spec_of, start
+from hiprl.store.rows import RunRow
+from hiprl.store.store import Store
+from hiprl.teaching import taught
+from hiprl.world.build import world_from
+from hiprl.world.task import World
+
+WARM_UP = 10  # episodes of random actions: enough pairs for the first questions, also where episodes are short
+
+
+def teach(command: Teach) -> Facts:
+    """Begins a run that people teach, with its page; gives its summary."""
+    world = world_from(command.env, horizon=command.horizon, terminates=command.terminates)
+    K = command.comparisons
+    config = teachable(Config(comparisons=K, warm_up=min(WARM_UP, K)))
+    if command.clip is not None:
+        config = replace(config, question=replace(config.question, clip=command.clip))
+    spec = RunSpec(seed=command.seed, config=config, judge=PEOPLE, terminates=command.terminates)
+    with new_store(command.store) as store:
+        run_id = start(store, world, spec)
+        if command.goal is not None:
+            store.set_goal(run_id, command.goal)
+        with page(run_id, command):
+            return follow(store, run_id, world, command)
+
+
+def resume(store: Store, row: RunRow, command: Resume) -> Facts:
+    """Goes on with a run that people teach, with its page."""
+    world = world_of(row, terminates=command.terminates)
+    with page(row.id, command):
+        return follow(store, row.id, world, command)
+
+
+@contextlib.contextmanager
+def page(run_id: str, command: Teach | Resume) -> Iterator[None]:
+    """The page, in a process of its own, for as long as this one lives."""
+    words = [sys.executable, "-m", "hiprl", "serve", run_id, "--store", command.store]
+    if isinstance(command, Teach):
+        if command.port == 0:
+            yield
+            return
+        words += ["--host", command.host, "--port", str(command.port)] + ([] if command.no_browser else ["--browser"])
+    process = subprocess.Popen(words, stdin=subprocess.PIPE, env=os.environ | {WITH_PARENT: "1"})
+    try:
+        yield
+    finally:
+        assert process.stdin is not None
+        process.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(5)
+        process.kill()
+
+
+def follow(store: Store, run_id: str, world: World, command: Teach | Resume) -> Facts:
+    """Learns from the answers that come, and tells what it waits for."""
+    console = Console(stderr=True)
+    K, past = spec_of(store, run_id).config.comparisons, [facts for _, facts in store.episodes(run_id)]
+    tell(console, f"Run {run_id}: {world.name}, taught by people with up to {K} answers; stored in {store.name}.")
+    again = f"Go on with: {typed('resume', run_id, store, command)}"
+    display = progress(K, past, console, by_people=True)
+
+    def farewell() -> None:
+        display.stop()
+        tell(console, f"Stopped; what is finished is stored. {again}")
+
+    try:
+        with stoppable(farewell), display:
+            summary = taught(store, run_id, world, watch=display, wait=display.wait)
+    except KeyboardInterrupt:
+        farewell()
+        raise
+    except InputError:
+        raise
+    except Exception as error:
+        error.add_note(f"What is finished is stored. {again}")
+        raise
+    finally:
+        world.close()
+    tell(console, outcome(summary))
+    tell(console, f"Next: {typed('show', run_id, store, command)}")
+    if sys.stdin.isatty() and isinstance(command, Teach):
+        with contextlib.suppress(KeyboardInterrupt, EOFError):
+            input("The page stays open; press Enter to end. ")
+    return summary

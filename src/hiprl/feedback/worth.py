@@ -1,0 +1,84 @@
+"""What one more answer is worth: by how much it is expected to raise the best return that is in sight, by r̂.
+
+An answer is worth something only if it can change what is done. What can be done is what was seen: to keep up, for a
+whole episode, what any clip shows. So the worth of a question is how much better, in expectation, the best clip is for
+who knows the answer than the one that seems best now.
+Source: the knowledge gradient, Frazier, Powell and Dayanik (2009), with questions for its measurements.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from hiprl.data.preference import Clip
+from hiprl.data.trajectory_set import Trajectories
+from hiprl.feedback.questions import NODES, WEIGHTS, QuestionConfig, differences, drawn
+from hiprl.models.reward import AdditiveReward, clip_sum
+from hiprl.types import Key, Scalar
+
+CANDIDATES = 300  # questions that are weighed up
+SPAN = 50  # steps of a clip that shows a behaviour
+
+
+@partial(jax.jit, static_argnames=("config",))
+def worth(T: Trajectories, reward: AdditiveReward, config: QuestionConfig, *, key: Key) -> Scalar:
+    """Expected gain by the answer to the best question, over what the best behaviour in sight exceeds the average one.
+
+    0 says that no answer is expected to change what is wanted; 0.1 that what is then done is better by a tenth of what
+    is to be had. NaN for questions about more than two clips.
+
+    Args:
+        T: the trajectories.
+        reward: r̂ with its posterior.
+        config: what is asked.
+        key: for the questions that are weighed up.
+    """
+    if config.items > 2:
+        return jnp.asarray(jnp.nan)
+    config = replace(config, candidates=CANDIDATES)
+    psi = differences(T, reward.features, drawn(T, config, key=key), config)[:, 0]
+    Phi, there = seen(T, reward)
+    returns = Phi @ reward.mean
+    half_psi, half_Phi = psi @ reward.root.T, Phi @ reward.root.T
+    cov = (psi * reward.prior[None]) @ Phi.T - half_psi @ half_Phi.T  # of each answer with each return
+    var = jnp.maximum(jnp.sum(psi**2 * reward.prior[None], axis=1) - jnp.sum(half_psi**2, axis=1), 0.0)
+    std = jnp.sqrt(var)
+    u = (psi @ reward.mean)[:, None] + std[:, None] * jnp.asarray(NODES)[None]  # (n, nodes)
+    p = answers_given(u * reward.scale, reward.kappa, config.levels)  # (n, nodes, answers)
+    weights = jnp.asarray(WEIGHTS / WEIGHTS.sum())
+    chance = jnp.einsum("j,njl->nl", weights, p)
+    shift = jnp.einsum("j,j,njl->nl", weights, jnp.asarray(NODES), p) / jnp.maximum(chance, 1e-12)  # of u, in std
+    slope = jnp.where(std > 0, 1 / jnp.maximum(std, 1e-30), 0.0)[:, None] * cov
+    after = returns[None, None] + shift[:, :, None] * slope[:, None]  # (n, answers, N)
+    best = jnp.max(jnp.where(there[None, None], after, -jnp.inf), axis=-1)
+    now = jnp.max(jnp.where(there, returns, -jnp.inf))
+    gain = jnp.max(jnp.sum(chance * best, axis=1) - now)
+    mean = jnp.sum(jnp.where(there, returns, 0.0)) / jnp.maximum(jnp.sum(there), 1)
+    return jnp.maximum(gain, 0.0) / jnp.maximum(now - mean, 1e-12)
+
+
+def seen(T: Trajectories, reward: AdditiveReward) -> tuple[Float[Array, "n D"], Bool[Array, " n"]]:
+    """Mean of φ over clips from everywhere in T, and which of them are there."""
+    H = T.rows.actions.shape[1]
+    starts = jnp.arange(0, H, SPAN)
+    at = Clip(*jnp.broadcast_arrays(jnp.arange(T.capacity)[:, None], starts[None], jnp.asarray(SPAN)))
+    steps = jnp.minimum(T.rows.length[:, None] - at.start, SPAN)
+    there = T.filled[:, None] & (steps >= min(SPAN, H) // 2)
+    flat = jax.tree.map(lambda x: x.reshape(-1), at)
+    sums = jax.lax.map(lambda clip: clip_sum(reward.features, T, clip, SPAN), flat, batch_size=64)
+    return sums / jnp.maximum(steps.reshape(-1), 1)[:, None], there.reshape(-1)
+
+
+def answers_given(u: Float[Array, "n nodes"], kappa: Scalar, levels: int | None) -> Float[Array, "n nodes answers"]:
+    """Probability of each answer where the difference is u: of a level, or, for a number, of itself."""
+    if levels is None:
+        return jnp.broadcast_to(jnp.eye(u.shape[1])[None], (*u.shape, u.shape[1]))
+    cuts = jnp.arange(1, levels) * 2 / (levels - 1) - 1 - 1 / (levels - 1)
+    below = jax.nn.sigmoid((cuts[None, None] - u[..., None]) / kappa)
+    ends = jnp.zeros((*u.shape, 1)), jnp.ones((*u.shape, 1))
+    return jnp.diff(jnp.concatenate([ends[0], below, ends[1]], axis=-1), axis=-1)

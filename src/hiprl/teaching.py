@@ -1,0 +1,295 @@
+"""Learns from people, whose answers come through the store, whenever they like.
+
+Two things go on at the same time. One practises: it searches, executes and learns the world, and never waits for an
+answer. The other asks: it takes new answers in, learns the reward again, and sees to it that a few questions are open,
+so that nobody who answers waits for a search. They meet in `Known`; trainer and page meet in the store only.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.random as jr
+import numpy as np
+
+from hiprl.algorithm import BEGINNING, Run, attempt, begin, lived, scored
+from hiprl.config import Config
+from hiprl.data.preference import Clip, Preferences
+from hiprl.feedback.questions import pick_clips
+from hiprl.models.estimate import estimate_reward
+from hiprl.models.quality import shapes
+from hiprl.models.reward import AdditiveReward, EstimatedReward
+from hiprl.report.evidence import given_in, names_of, shares
+from hiprl.session import (
+    Facts,
+    RunSpec,
+    Watch,
+    clip_row,
+    conclude,
+    facts_of_attempt,
+    finite_or_none,
+    foreseen,
+    refuse_finished,
+    shape_of_run,
+    spec_of,
+    worth_of,
+)
+from hiprl.store.arrays import pack, unpack
+from hiprl.store.rows import ClipRow, QuestionRow, RunRow
+from hiprl.store.store import Store
+from hiprl.types import Key
+from hiprl.world.task import World
+
+OPEN = 3  # questions that wait for an answer at a time
+AT_ONCE, AN_EPISODE = (
+    10,
+    3,
+)  # questions asked before the first policy, and after each: so that each can be about new things
+FIRST = 4  # answers before the first search: by fewer, anything could be wanted
+TRIES = 10  # to find a question that was not asked before
+PRACTICE = 4  # episodes without news (an answer, or a better policy by r̂) after which practising waits for an answer
+LITTLE = 0.01  # of what was gained so far: less is no news
+LOOK = 0.2  # seconds between two looks for answers
+ASKING = BEGINNING - 1  # folded into the run's key for questions; no run has as many episodes
+
+
+class Known:
+    """What is known at this moment. Each of the two threads changes its own parts."""
+
+    def __init__(self, run: Run):
+        self._run = run
+        self._lock = threading.Lock()
+        self.answers = int(run.P.count)
+
+    @property
+    def run(self) -> Run:
+        """All of it."""
+        return self._run
+
+    def lived(self, run: Run) -> None:
+        """Takes over all but the answers and r̂, which may be newer here."""
+        with self._lock:
+            self._run = eqx.tree_at(lambda run: (run.P, run.reward), run, (self._run.P, self._run.reward))
+
+    def told(self, P: Preferences, reward: EstimatedReward) -> None:
+        """Takes over the answers and r̂."""
+        with self._lock:
+            self._run = eqx.tree_at(lambda run: (run.P, run.reward), self._run, (P, reward))
+            self.answers = int(P.count)
+
+
+class Asking:
+    """Takes answers in and keeps questions open, until as many were asked as the run is to have."""
+
+    def __init__(self, store: Store, row: RunRow, config: Config, known: Known, *, key: Key):
+        self.store, self.row, self.config, self.known, self.key = store, row, config, known, key
+        self.foresight: list[float] = []
+        """Of the answers since the last episode: 1 where r̂ had foreseen the side, 0 where not."""
+        self.weights: dict[str, float] = {}
+        self.disagrees: list[int] = []
+        """Questions that r̂ would answer otherwise than the judge did."""
+        self.stop = threading.Event()
+        self.failed: BaseException | None = None
+        self._seen: dict[int, Any] = {}
+        self._thread = threading.Thread(target=self._go_on, name="asking", daemon=True)
+
+    def __enter__(self) -> Asking:
+        self.turn()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop.set()
+        self._thread.join()
+
+    def _go_on(self) -> None:
+        try:
+            while not self.stop.wait(LOOK):
+                self.turn()
+        except BaseException as error:  # told by the other thread, which everybody listens to
+            self.failed = error
+
+    def turn(self) -> None:
+        """Looks once."""
+        questions = self.store.questions(self.row.id)
+        answered = {question.k: question.answer for question in questions if question.answer is not None}
+        if answered != self._seen:
+            self._take_in(questions, new=[k for k, said in answered.items() if self._seen.get(k) != said])
+            self._seen = answered
+        waiting, asked = len(questions) - len(answered), len(questions)
+        before = {frozenset(question.clips) for question in questions}
+        policies = int(np.sum(self.known.run.archive.filled))
+        most = min(self.config.comparisons, AT_ONCE + AN_EPISODE * policies)
+        while waiting < OPEN and asked < most and not self.stop.is_set():
+            new = self._ask(asked + 1, before)
+            if new is None:
+                break
+            asked, waiting = asked + 1, waiting + 1
+            before.add(new)
+
+    def _take_in(self, questions: list[QuestionRow], *, new: list[int]) -> None:
+        run = self.known.run
+        if int(run.P.count):
+            sides = sides_of(run, questions)
+            self.foresight += [right for k in new if np.isfinite(right := sides[k])]
+        P = given_in(self.store, self.row, questions, capacity=self.config.comparisons)
+        reward = estimate_reward(P, run.T, run.reward, self.config.reward)
+        self.known.told(P, reward)
+        after = self.known.run
+        self.disagrees = [k for k, right in sides_of(after, questions).items() if right == 0]
+        if isinstance(reward, AdditiveReward):
+            self.weights = shares(shapes(reward, after.T), names_of(self.row, after.T))
+
+    def _ask(self, k: int, before: set[frozenset[ClipRow]]) -> frozenset[ClipRow] | None:
+        """Asks something new; None if there is nothing before the next episode."""
+        run = self.known.run
+        for try_key in jr.split(jr.fold_in(self.key, k), TRIES):
+            clips = pick_clips(run.T, run.reward, self.config.question, key=try_key)
+            each = zip(clips.of, clips.start, clips.length, strict=True)
+            rows = [clip_row(Clip(*one)) for one in each]
+            if frozenset(rows) not in before:
+                self.store.ask(self.row.id, k, rows)
+                return frozenset(rows)
+        return None
+
+
+def sides_of(run: Run, questions: list[QuestionRow]) -> dict[int, float]:
+    """For each answered question, 1 where r̂ is of the judge's opinion, 0 where not, NaN where there is none."""
+    found = {}
+    for question in questions:
+        if question.answer is not None:
+            first, last = (run.T.clip(clip_of(question, i)) for i in (0, -1))
+            found[question.k] = foreseen(question.answer, float(run.reward.gap(first, last).mean))
+    return found
+
+
+def clip_of(question: QuestionRow, i: int) -> Clip:
+    """One of the clips that a question shows."""
+    of, start, length = question.clips[i].plain()
+    return Clip.whole(of) if length is None else Clip.at(of, start, length)
+
+
+def taught(
+    store: Store,
+    run_id: str,
+    world: World,
+    *,
+    watch: Watch = lambda facts: None,
+    wait: Callable[[str], None] = lambda what: None,
+) -> Facts:
+    """Learns from the answers that come, until as many were given as the run is to have; gives its summary.
+
+    Args:
+        store: where questions are asked and answers come.
+        run_id: of the run.
+        world: where it acts.
+        watch: called with the facts of each episode.
+        wait: called with words for what it waits for, when that changes.
+
+    Raises:
+        InputError: the run is finished, or another trainer is at it.
+        WorldError: the environment broke.
+        FitDiverged: a model's loss is not finite.
+    """
+    refuse_finished(store, run_id)
+    row, spec = store.run(run_id), spec_of(store, run_id)
+    config, key = spec.config, jr.key(spec.seed)
+    with store.lease(run_id) as lease:
+        scene = world.start_filming()
+        store.set_scene(run_id, scene or states_only(world))
+        known = Known(latest(store, run_id, world, spec))
+        while int(known.run.T.count) < config.warm_up:
+            practised(store, run_id, known, world, config, None, watch, key=key)
+        with Asking(store, row, config, known, key=jr.fold_in(key, ASKING)) as asking:
+            idle, heard, waits = 0, known.answers, ""
+            while True:
+                if asking.failed is not None:
+                    raise asking.failed
+                idle, heard = 0 if known.answers != heard else idle, known.answers
+                room = int(known.run.T.count) < known.run.T.capacity
+                if heard >= config.comparisons and (idle >= PRACTICE or not room):
+                    break
+                few = heard < min(FIRST, config.comparisons)
+                pauses = few or idle >= PRACTICE or not room
+                before, waits = waits, "" if not pauses else "the first answers" if few else "an answer"
+                if waits != before:
+                    wait(waits)
+                if pauses:
+                    time.sleep(LOOK)
+                    continue
+                practised(store, run_id, known, world, config, asking, watch, key=key)
+                idle = 0 if news(known.run) else idle + 1
+                lease.renew()
+        return conclude(store, run_id, known.run, world, spec, key=key)
+
+
+def latest(store: Store, run_id: str, world: World, spec: RunSpec) -> Run:
+    """The run as its last finished episode left it; a new one has executed τ_0."""
+    saved = store.checkpoint(run_id)
+    if saved is not None:
+        return unpack(saved[1], shape_of_run(world, spec.config))
+    run = begin(world, spec.config, key=jr.key(spec.seed))
+    store.add_trajectory(run_id, 0, run.T.get(0), "random", film=film_of(world))
+    return run
+
+
+def practised(
+    store: Store,
+    run_id: str,
+    known: Known,
+    world: World,
+    config: Config,
+    asking: Asking | None,
+    watch: Watch,
+    *,
+    key: Key,
+) -> None:
+    """One more episode, with what it leaves in the store."""
+    run = known.run
+    act_key, learn_key = jr.split(jr.fold_in(key, run.k))
+    times = [time.perf_counter()]
+    new = attempt(run, world, config, key=act_key)
+    store.add_trajectory(run_id, int(run.T.count), new.tau, "policy" if new.searched else "random", film=film_of(world))
+    times.append(time.perf_counter())
+    calibration = scored(run, new, config).calibration
+    after = lived(eqx.tree_at(lambda run: run.k, run, run.k + 1), new, calibration, world, config, key=learn_key)
+    jax.block_until_ready(after)
+    known.lived(after)
+    times.append(time.perf_counter())
+    facts = facts_of_attempt(run, new, known.run, config)
+    facts |= {"comparisons": known.answers, "worth": worth_of(known.run, config)}
+    facts["seconds"] = dict(zip(("propose", "learn"), np.diff(times).tolist(), strict=True)) | {"judge": 0.0}
+    if asking is not None:
+        told, asking.foresight = asking.foresight, []
+        facts |= {"foreseen": float(np.mean(told)) if told else None}
+        facts |= {"weights": asking.weights, "disagrees": asking.disagrees}
+    facts = finite_or_none(facts)
+    store.finish_episode(run_id, facts["k"], facts, pack(known.run))
+    watch(facts)
+
+
+def news(run: Run) -> bool:
+    """Whether the newest policy is better than all before it."""
+    return improved(np.asarray(run.reward.returns(run.T))[: int(run.T.count)], np.asarray(run.archive.filled))
+
+
+def improved(returns: np.ndarray, tried: np.ndarray) -> bool:
+    """Whether the last of these returns by r̂ exceeds those of all policies before by more than next to nothing."""
+    *earlier, newest = returns
+    before = np.array(earlier)[tried[: len(earlier)]]
+    return not len(before) or bool(newest - before.max() > LITTLE * (before.max() - np.mean(earlier)))
+
+
+def film_of(world: World) -> bytes | None:
+    """What there is to be seen of the newest episode."""
+    return None if world.film is None else world.film.to_bytes()
+
+
+def states_only(world: World) -> dict[str, Any]:
+    """The scene of a world of which there is nothing to be seen but its states."""
+    return {"kind": "states", "dt": 0.05, "names": list(world.names().state)}

@@ -1,0 +1,1 @@
+"""The labelling page: knows the store and nothing of trainers."""

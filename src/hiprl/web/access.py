@@ -1,0 +1,101 @@
+"""Who may come in: a token that is good once, or a password, and a cookie afterwards; and what a browser may do."""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+import threading
+from collections.abc import Callable
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+COOKIE = "hiprl"
+LARGEST = 16 * 1024  # bytes of a request: an answer has a few hundred
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
+    "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+)
+HEADERS = {
+    "Content-Security-Policy": POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+OPEN_PATHS = ("/enter", "/static/")  # for everybody
+
+
+class Doors:
+    """What opens the page. Sessions last as long as the process."""
+
+    def __init__(self, password: str | None = None, *, told: Callable[[str], None] = lambda token: None):
+        """`told` is called with each token that opens the page once: a used one is followed by another."""
+        self._password, self._told = password, told
+        self._session = secrets.token_urlsafe(32)
+        self._lock = threading.Lock()
+        self.token = secrets.token_urlsafe(24)
+
+    def enters(self, given: str) -> bool:
+        """Whether this is the password, or the token, which then is another."""
+        if self._password is not None and hmac.compare_digest(given.encode(), self._password.encode()):
+            return True
+        with self._lock:
+            if not hmac.compare_digest(given.encode(), self.token.encode()):
+                return False
+            self.token = secrets.token_urlsafe(24)
+        self._told(self.token)
+        return True
+
+    def knows(self, request: Request) -> bool:
+        """Whether this browser came in before."""
+        return hmac.compare_digest(request.cookies.get(COOKIE, "").encode(), self._session.encode())
+
+    def let_in(self, response: Response) -> Response:
+        """The response with the cookie by which the browser is known."""
+        response.set_cookie(COOKIE, self._session, httponly=True, samesite="strict", path="/")
+        return response
+
+
+def foreign(headers: Headers) -> bool:
+    """Whether a request that changes something was sent by another site's page."""
+    origin, site = headers.get("origin"), headers.get("sec-fetch-site")
+    if site is not None and site not in ("same-origin", "none"):
+        return True
+    return origin is not None and urlsplit(origin).netloc != headers.get("host")
+
+
+class Guard:
+    """Limits the size of requests, and tells browsers what no page of ours does."""
+
+    def __init__(self, app: ASGIApp):
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        size = Headers(scope=scope).get("content-length", "0")
+        if not size.isdecimal() or int(size) > LARGEST:
+            await Response("too large", 413, headers=HEADERS)(scope, receive, send)
+            return
+        read = 0
+
+        async def limited() -> Message:
+            nonlocal read
+            message = await receive()
+            read += len(message.get("body", b""))
+            return {"type": "http.disconnect"} if read > LARGEST else message  # it said less than it sent
+
+        async def guarded(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers[name] = value
+                headers.setdefault("Cache-Control", "no-store")
+            await send(message)
+
+        await self._app(scope, limited, guarded)

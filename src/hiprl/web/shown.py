@@ -1,0 +1,155 @@
+"""What pages are told: questions with their clips, progress and facts, as plain values."""
+
+from __future__ import annotations
+
+import base64
+import secrets
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from hiprl.data.answer import Answer
+from hiprl.data.film import Film
+from hiprl.store.rows import AnswerRow, ClipRow, QuestionRow, RunRow
+from hiprl.store.store import Store
+
+Plain = dict[str, Any]
+
+RECENT = 10  # answers by which it is told how many are foreseen
+LITTLE = 0.01  # share of the best: an answer worth less is hardly worth giving
+IN_A_ROW = 3
+NOW = 100  # steps of the clip that shows what it does now
+TOLD = ("k", "comparisons", "true_return", "return_by_reward", "worth", "foreseen", "coverage", "length", "searched")
+
+
+class Shown:
+    """Reads the store for pages."""
+
+    def __init__(self, store: Store):
+        self.store = store
+        self._film = lru_cache(maxsize=128)(self._read_film)
+
+    def _read_film(self, run_id: str, number: int) -> Film | np.ndarray:
+        film = self.store.film(run_id, number)
+        return self.store.trajectory(run_id, number).states if film is None else Film.from_bytes(film)
+
+    def clip(self, run_id: str, clip: ClipRow) -> Plain:
+        """What is seen of a clip."""
+        film = self._film(run_id, clip.of)
+        told: Plain = {"trajectory": clip.of, "start": clip.start}
+        if isinstance(film, np.ndarray):
+            end = None if clip.length is None else clip.start + clip.length + 1
+            states = film[clip.start : end]
+            return told | {"steps": len(states) - 1, "states": as_text(states)}
+        cut = film.cut(clip.start, clip.length)
+        if cut.poses is not None:
+            return told | {"steps": len(cut.poses) - 1, "poses": as_text(cut.poses)}
+        pictures = ["data:image/jpeg;base64," + base64.b64encode(one).decode() for one in cut.pictures or ()]
+        return told | {"steps": len(pictures) - 1, "frames": pictures}
+
+    def question(self, row: QuestionRow, *, swapped: bool | None = None, answer: Answer | None = None) -> Plain:
+        """A question as it is shown; sides are drawn where nobody says."""
+        if swapped is None:
+            swapped = len(row.clips) == 2 and secrets.randbelow(2) == 1
+        clips = [self.clip(row.run_id, clip) for clip in row.clips]
+        said = None if answer is None else turned(answer, swapped).plain()
+        return {"k": row.k, "swapped": swapped, "clips": clips[::-1] if swapped else clips, "answer": said}
+
+    def now(self, run_id: str) -> Plain:
+        """The newest thing that its policy did."""
+        number = self.store.newest(run_id, "policy")
+        clip = None if number is None else self.clip(run_id, ClipRow(number, 0, NOW))
+        return {"clip": clip, "episode": number}
+
+    def progress(self, run_id: str) -> Plain:
+        """How far a run is."""
+        row, facts = self.store.run(run_id), [facts for _, facts in self.store.episodes(run_id)]
+        questions = self.store.questions(run_id)
+        answers = sum(question.answer is not None for question in questions)
+        foreseen = [one["foreseen"] for one in facts if one.get("foreseen") is not None][-RECENT:]
+        worth = [one["worth"] for one in facts if one.get("worth") is not None]
+        planned = planned_of(row)
+        done = self.store.final(run_id) is not None
+        searched = any(one.get("searched") for one in facts)
+        waiting = len(questions) - answers
+        state = "finished" if done else "waiting" if waiting else "learning" if searched or answers else "warming up"
+        return {
+            "answers": answers,
+            "planned": planned,
+            "open": waiting,
+            "episodes": len(facts),
+            "sure": sum(foreseen) / len(foreseen) if foreseen else None,
+            "worth": worth[-1] if worth else None,
+            "enough": len(worth) >= IN_A_ROW and max(worth[-IN_A_ROW:]) < LITTLE,
+            "state": state,
+            "goal": self.store.goal(run_id),
+        }
+
+    def facts(self, run_id: str) -> Plain:
+        """What the page of a run tells."""
+        row, facts = self.store.run(run_id), [facts for _, facts in self.store.episodes(run_id)]
+        weights = next((one["weights"] for one in reversed(facts) if one.get("weights")), {})
+        return {
+            "run": run_id,
+            "env": row.env,
+            "goal": self.store.goal(run_id),
+            "finished": self.store.final(run_id) is not None,
+            "planned": planned_of(row),
+            "episodes": [{name: one.get(name) for name in TOLD} for one in facts],
+            "weights": weights,
+            "pictures": [],
+        }
+
+    def answers(self, run_id: str) -> list[Plain]:
+        """All that was said, with whether the learned reward is of the same opinion."""
+        facts = [facts for _, facts in self.store.episodes(run_id)]
+        otherwise = next((set(one["disagrees"]) for one in reversed(facts) if "disagrees" in one), None)
+        questions = {question.k: question for question in self.store.questions(run_id)}
+        newest = {row.k: row for row in self.store.answers(run_id)}
+        return [self._answer(row, questions[k], otherwise) for k, row in sorted(newest.items())]
+
+    def _answer(self, row: AnswerRow, question: QuestionRow, otherwise: set[int] | None) -> Plain:
+        clips = [{"trajectory": clip.of, "start": clip.start, "steps": clip.length} for clip in question.clips]
+        agrees = None if otherwise is None or not row.answer.side else row.k not in otherwise
+        return {
+            "k": row.k,
+            "judge": row.judge,
+            "answer": row.answer.plain(),
+            "swapped": row.swapped,
+            "at": row.created_at.isoformat(timespec="seconds"),
+            "agrees": agrees,
+            "clips": clips,
+        }
+
+    def runs(self) -> list[Plain]:
+        """All runs, newest first."""
+        return [self.run(row) for row in reversed(self.store.runs())]
+
+    def run(self, row: RunRow) -> Plain:
+        """A line of the list of runs."""
+        told = self.progress(row.id)
+        names = ("goal", "answers", "planned", "open")
+        return {"run": row.id, "env": row.env, "finished": told["state"] == "finished"} | {n: told[n] for n in names}
+
+
+def planned_of(row: RunRow) -> int:
+    """How many answers a run is to have."""
+    return int(row.spec.get("config", {}).get("comparisons", 0))
+
+
+def turned(answer: Answer, swapped: bool) -> Answer:
+    """An answer about clips that are shown the other way round."""
+    if not swapped:
+        return answer
+    if answer.form == "ranking":
+        last = answer.items - 1
+        return Answer(form="ranking", value=tuple(last - i for i in answer.value))
+    if answer.form in ("number", "choice", "level", "slider"):
+        return Answer(form=answer.form, value=-answer.value, levels=answer.levels)
+    return answer
+
+
+def as_text(array: np.ndarray) -> str:
+    """Numbers as a page reads them: base64 of little-endian float32."""
+    return base64.b64encode(np.ascontiguousarray(array, "<f4").tobytes()).decode()

@@ -1,0 +1,122 @@
+"""Films an environment without a graphics card: from the poses of a MuJoCo model's bodies, or from its own pictures."""
+
+from __future__ import annotations
+
+import base64
+import io
+from abc import ABC, abstractmethod
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from hiprl.data.film import Film
+
+_mujoco: Any = mujoco  # it comes without types
+GEOMS = {0: "plane", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box", 7: "mesh"}  # MuJoCo's numbers
+HIDDEN_GROUP = 3  # geoms of this group and above are for collisions, and not drawn
+WIDTH = 240  # of a picture, in pixels
+QUALITY = 60  # of a JPEG
+
+
+class Camera(ABC):
+    """Looks at an environment after its reset and after each step."""
+
+    scene: dict[str, Any]
+    """What its films play in, as plain values."""
+
+    @abstractmethod
+    def look(self) -> Any:
+        """What is to be seen now."""
+
+    @abstractmethod
+    def film(self, looks: list[Any]) -> Film:
+        """The looks of an episode together."""
+
+
+class Bodies(Camera):
+    """The bodies of a MuJoCo model: a page draws them, so that nothing needs to be rendered here."""
+
+    def __init__(self, model: Any, data: Any, dt: float):
+        self._model, self._data, self._own = model, data, _mujoco.MjData(model)
+        self.scene = {"kind": "mujoco", "dt": dt, "bodies": int(model.nbody), **_geoms(model)}
+
+    def look(self) -> np.ndarray:
+        # The simulation's own poses are those before its last step in time, and are not ours to renew.
+        own = self._own
+        own.qpos[:], own.mocap_pos[:], own.mocap_quat[:] = self._data.qpos, self._data.mocap_pos, self._data.mocap_quat
+        _mujoco.mj_kinematics(self._model, own)
+        return np.concatenate([own.xpos, own.xquat], axis=1).astype(np.float32)
+
+    def film(self, looks: list[Any]) -> Film:
+        return Film(poses=np.stack(looks))
+
+
+class Pictures(Camera):
+    """What the environment itself renders."""
+
+    def __init__(self, env: Any, dt: float):
+        self._env = env
+        self.scene = {"kind": "frames", "dt": dt}
+
+    def look(self) -> bytes:
+        from PIL import Image
+
+        image = Image.fromarray(np.asarray(self._env.render(), np.uint8))
+        if image.width > WIDTH:
+            image = image.resize((WIDTH, round(image.height * WIDTH / image.width)))
+        buffer = io.BytesIO()
+        image.save(buffer, "JPEG", quality=QUALITY)
+        return buffer.getvalue()
+
+    def film(self, looks: list[Any]) -> Film:
+        return Film(pictures=looks)
+
+
+def camera_of(env: Any) -> Camera | None:
+    """A camera for this environment; None if there is nothing to be seen of it."""
+    inner = env.unwrapped
+    dt = float(getattr(inner, "dt", 0.0) or 1 / (env.metadata.get("render_fps") or 20))
+    model, data = getattr(inner, "model", None), getattr(inner, "data", None)
+    if hasattr(model, "geom_type") and hasattr(data, "xquat"):
+        return Bodies(model, data, dt)
+    return Pictures(env, dt) if getattr(env, "render_mode", None) == "rgb_array" else None
+
+
+def _geoms(model: Any) -> dict[str, Any]:
+    """The visible shapes of a model, and the meshes they are made of."""
+    geoms, used = [], {}
+    for i in range(model.ngeom):
+        kind = GEOMS.get(int(model.geom_type[i]))
+        rgba = _colour(model, i)
+        if kind is None or rgba[3] == 0 or int(model.geom_group[i]) >= HIDDEN_GROUP:
+            continue
+        geom = {
+            "body": int(model.geom_bodyid[i]),
+            "type": kind,
+            "size": model.geom_size[i].round(5).tolist(),
+            "pos": model.geom_pos[i].round(5).tolist(),
+            "quat": model.geom_quat[i].round(6).tolist(),
+            "rgba": rgba,
+        }
+        if kind == "mesh":
+            geom["mesh"] = used.setdefault(int(model.geom_dataid[i]), len(used))
+        geoms.append(geom)
+    return {"geoms": geoms, "meshes": [_mesh(model, mesh) for mesh in used]}
+
+
+def _colour(model: Any, i: int) -> list[float]:
+    """A geom's own colour, or that of its material."""
+    material = int(model.geom_matid[i])
+    rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[i]
+    return [round(float(x), 3) for x in rgba]
+
+
+def _mesh(model: Any, i: int) -> dict[str, str]:
+    at, n = int(model.mesh_vertadr[i]), int(model.mesh_vertnum[i])
+    first, m = int(model.mesh_faceadr[i]), int(model.mesh_facenum[i])
+    told = lambda array, dtype: base64.b64encode(np.ascontiguousarray(array, dtype).tobytes()).decode()
+    return {
+        "vertices": told(model.mesh_vert[at : at + n], np.float32),
+        "faces": told(model.mesh_face[first : first + m], np.uint32),
+    }

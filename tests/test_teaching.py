@@ -1,0 +1,149 @@
+"""A trainer and its judges, who meet in the store."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hiprl.config import PEOPLE, teachable
+from hiprl.data.answer import choice, level
+from hiprl.errors import InputError
+from hiprl.report.evidence import evidence_of
+from hiprl.session import RunSpec, start
+from hiprl.store.store import Store, open_store
+from hiprl.teaching import improved, taught
+from hiprl.world.build import world_from
+from tests.whole.tasks import TINY
+
+pytestmark = pytest.mark.slow
+CONFIG = teachable(replace(TINY, comparisons=6, question=replace(TINY.question, clip=7, candidates=50)))
+
+
+class Judge(threading.Thread):
+    """Answers what is open, by the states of the clips, until it is told to stop."""
+
+    def __init__(self, path: str, run_id: str, name: str = "ada", *, most: int = 99):
+        super().__init__(daemon=True)
+        self.path, self.run_id, self.judge, self.most = path, run_id, name, most
+        self.stop, self.given = threading.Event(), 0
+
+    def run(self) -> None:
+        with open_store(self.path) as store:
+            while not self.stop.is_set() and self.given < self.most:
+                question = store.claim(self.run_id, self.judge)
+                if question is None:
+                    time.sleep(0.02)
+                    continue
+                first, second = (self.likes(store, clip) for clip in question.clips)
+                store.answer(self.run_id, question.k, level(2 * int(np.sign(first - second)), 5), self.judge)
+                self.given += 1
+
+    def likes(self, store: Store, clip) -> float:
+        states = store.trajectory(self.run_id, clip.of).states[clip.start :][: (clip.length or 99) + 1]
+        return -float(np.abs(states).mean())
+
+
+def begun(path: str, seed: int = 3) -> str:
+    with open_store(path) as store:
+        return start(store, world_from("linear"), RunSpec(seed=seed, config=CONFIG, judge=PEOPLE))
+
+
+def teach(path: str, run_id: str, **more) -> dict:
+    with open_store(path) as store:
+        return taught(store, run_id, world_from("linear"), **more)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """A run that two judges taught."""
+    path = str(tmp_path_factory.mktemp("taught") / "runs.db")
+    run_id = begun(path)
+    judges = [Judge(path, run_id, name) for name in ("ada", "bo")]
+    for judge in judges:
+        judge.start()
+    facts, waits = [], []
+    summary = teach(path, run_id, watch=facts.append, wait=waits.append)
+    for judge in judges:
+        judge.stop.set()
+        judge.join()
+    return path, run_id, summary, facts, judges
+
+
+def test_it_learns_from_all_answers_and_ends(done):
+    path, run_id, summary, _, judges = done
+    assert summary["comparisons"] == CONFIG.comparisons and summary["run"] == run_id
+    with open_store(path) as store:
+        questions = store.questions(run_id)
+        assert len(questions) == CONFIG.comparisons and all(question.answer is not None for question in questions)
+        assert store.final(run_id) == summary
+        assert len({frozenset(question.clips) for question in questions}) == CONFIG.comparisons  # never the same again
+    assert sum(judge.given for judge in judges) == CONFIG.comparisons
+
+
+def test_it_practises_between_answers(done):
+    path, run_id, _, facts, _ = done
+    assert [one["k"] for one in facts] == list(range(1, len(facts) + 1))
+    assert sum(one["searched"] for one in facts) >= 2 and facts[-1]["comparisons"] == CONFIG.comparisons
+    with open_store(path) as store:
+        taus = store.trajectories(run_id)
+        T, P = evidence_of(store, store.run(run_id))
+    assert len(taus) == len(facts) + 1 and int(T.count) == len(taus)
+    assert int(P.count) == CONFIG.comparisons and (np.asarray(P.at_hand)[: CONFIG.comparisons] <= len(taus)).all()
+
+
+def test_what_is_told_of_an_episode_says_how_well_answers_are_foreseen(done):
+    facts = done[3]
+    told = [one for one in facts if one["searched"]]
+    assert {"weights", "disagrees", "foreseen", "worth"} <= set(told[-1])
+    assert set(told[-1]["disagrees"]) <= set(range(1, CONFIG.comparisons + 1))
+
+
+def test_a_scene_without_bodies_has_the_names_of_its_states(done):
+    path, run_id, *_ = done
+    with open_store(path) as store:
+        assert store.scene(run_id) == {"kind": "states", "dt": 0.05, "names": ["s[0]", "s[1]", "s[2]"]}
+
+
+class Stopped(Exception):
+    pass
+
+
+def test_a_trainer_that_was_stopped_goes_on_with_every_answer(tmp_path):
+    path = str(tmp_path / "runs.db")
+    run_id = begun(path)
+    judge = Judge(path, run_id, most=4)
+    judge.start()
+
+    def stop(facts):
+        if facts["searched"]:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        teach(path, run_id, watch=stop)
+    judge.join(60)
+    with open_store(path) as store:
+        before, episodes = store.answers(run_id), len(store.episodes(run_id))
+        store.answer(run_id, before[0].k, choice(True), "ada")  # changed while no trainer is there
+    judge = Judge(path, run_id)
+    judge.start()
+    facts: list = []
+    summary = teach(path, run_id, watch=facts.append)
+    judge.stop.set()
+    judge.join()
+    assert facts[0]["k"] == episodes + 1 and summary is not None
+    with open_store(path) as store:
+        after = store.answers(run_id)
+        assert after[: len(before)] == before and len({row.k for row in after}) == CONFIG.comparisons
+    with pytest.raises(InputError, match="is finished"):
+        teach(path, run_id)
+
+
+def test_next_to_nothing_is_no_news():
+    tried = np.array([False, False, True, True])
+    at = lambda last: improved(np.array([0.0, -1.0, 10.0, last]), tried)
+    assert at(10.5) and not at(10.01) and not at(3.0)
+    assert improved(np.array([5.0, 4.0, -3.0]), tried)  # the first policy is news in any case

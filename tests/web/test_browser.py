@@ -1,0 +1,158 @@
+"""The pages in a real Chromium, before a server in a process of its own."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from benchmarks.clicker import CHROMIUM, chromium, started
+from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, level
+from hiprl.store.store import Store
+from hiprl.web.shown import turned
+from tests.web.made import a_taught_run
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is here (Debian: apt-get install chromium)"),
+]
+PATIENCE = 60_000  # milliseconds, on a machine that does other things too
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as found:
+        yield found
+
+
+class Served:
+    """A store with a page before it, and tabs that look at it."""
+
+    def __init__(self, browser: Any, address: str, said: list[str], store: Store, run_id: str):
+        self.browser, self.said, self.store, self.run_id = browser, said, store, run_id
+        self.home = re.match(r"http://[^/]+", address)[0]
+        self.contexts: list[Any] = []
+        self.troubles: list[str] = []
+        self.sizes: list[int] = []
+        self._addresses = iter([address])
+
+    def tab(self, where: str = "", judge: str | None = "ada") -> Any:
+        """A browser of its own, which comes in by the newest address."""
+        address = next(self._addresses, None) or self.said[-1].split(": ", 1)[1].strip()
+        context = self.browser.new_context()
+        self.contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(PATIENCE)
+        page.on("console", lambda m: self.troubles.append(m.text) if m.type == "error" else None)
+        page.on("pageerror", lambda e: self.troubles.append(str(e)))
+        page.on("response", lambda r: self.sizes.append(len(r.body())) if "/next?" in r.url else None)
+        page.goto(address)
+        if judge is not None:
+            page.evaluate("name => localStorage.setItem('hiprl.judge', name)", judge)
+        page.goto(f"{self.home}/runs/{self.run_id}{where}")
+        return page
+
+    def shown(self, page: Any) -> int:
+        """Number of the question on the page."""
+        page.wait_for_selector("#teach[data-mode=asking]")
+        return int(page.get_attribute("#teach", "data-question"))
+
+    def press(self, page: Any, key: str) -> int:
+        """Answers the shown question with a key; gives its number when the next one is there, or none is left."""
+        k = self.shown(page)
+        page.keyboard.press(key)
+        page.wait_for_function(
+            "k => { const t = document.getElementById('teach').dataset; return t.question != k || t.mode != 'asking' }",
+            arg=str(k),
+        )
+        return k
+
+
+@pytest.fixture
+def served(made: str, store: Store, browser: Any) -> Iterator[Served]:
+    run_id = a_taught_run(store, questions=6)
+    store.set_goal(run_id, "go along")
+    with started("serve", "--store", made, "--port", "8700") as page:
+        found = Served(browser, page.address, page.said, store, run_id)
+        yield found
+        for context in found.contexts:
+            context.close()
+        assert not found.troubles
+
+
+def as_shown(store: Store, run_id: str, k: int):
+    """The newest answer to a question, the way round in which it was shown."""
+    row = [row for row in store.answers(run_id) if row.k == k][-1]
+    return turned(row.answer, row.swapped)
+
+
+def test_a_person_answers_with_keys(served: Served):
+    page = served.tab("/teach")
+    wanted = {"ArrowLeft": choice(True), "5": level(-2, 5), "2": level(1, 5), "e": EQUALLY_GOOD, "u": CANNOT_TELL}
+    for key, answer in wanted.items():
+        k = served.press(page, key)
+        assert as_shown(served.store, served.run_id, k) == answer, key
+    assert {row.judge for row in served.store.answers(served.run_id)} == {"ada"}
+    assert served.sizes and max(served.sizes) < 300_000
+
+
+def test_undo_and_reload_lose_nothing(served: Served):
+    page = served.tab("/teach")
+    first = served.press(page, "1")
+    page.keyboard.press("z")
+    page.wait_for_function("k => document.getElementById('teach').dataset.question == k", arg=str(first))
+    assert served.press(page, "5") == first
+    assert as_shown(served.store, served.run_id, first) == level(-2, 5)
+    second = served.shown(page)
+    page.reload()
+    assert served.shown(page) == second  # it is still this judge's
+    served.press(page, "e")
+    assert len(served.store.answers(served.run_id)) == 3
+
+
+def test_two_judges_answer_at_once(served: Served):
+    ada, bo = served.tab("/teach", "ada"), served.tab("/teach", "bo")
+    assert served.shown(ada) != served.shown(bo)
+    for page in (ada, bo, ada, bo):
+        served.press(page, "ArrowLeft")
+    rows = served.store.answers(served.run_id)
+    assert sorted(row.k for row in rows) == [1, 2, 3, 4] and {row.judge for row in rows} == {"ada", "bo"}
+
+
+def test_the_first_visit_asks_what_is_wanted(made: str, store: Store, browser: Any):
+    run_id = a_taught_run(store)
+    with started("serve", run_id, "--store", made, "--port", "8700") as page:
+        served = Served(browser, page.address, page.said, store, run_id)
+        tab = served.tab("/teach", judge=None)
+        tab.wait_for_selector("#setup[open]")
+        tab.fill("#setup-goal", "<b>hop</b> & run")
+        tab.fill("#setup-judge", "zoë")
+        tab.click("#setup-save")
+        served.press(tab, "ArrowRight")
+        assert tab.inner_text("#goal") == "<b>hop</b> & run" == store.goal(run_id)
+        assert [row.judge for row in store.answers(run_id)] == ["zoë"]
+        served.contexts[0].close()
+        assert not served.troubles
+
+
+def test_an_answer_is_changed_in_review(served: Served):
+    page = served.tab("/teach")
+    k = served.press(page, "1")
+    served.store.finish_episode(served.run_id, 1, {"k": 1, "disagrees": [k]}, b"1")
+    page.goto(f"{served.home}/runs/{served.run_id}/review")
+    page.click("#list button")
+    page.click("#change [data-step='3']")
+    for _ in range(100):
+        if len(served.store.answers(served.run_id)) > 1:
+            break
+        page.wait_for_timeout(100)
+    assert [row.answer for row in served.store.answers(served.run_id)][1:] == [level(0, 5)]
+
+
+def test_progress_and_the_list_of_runs_are_there(served: Served):
+    page = served.tab("")
+    page.wait_for_selector("main")
+    page.goto(served.home)
+    assert served.run_id in page.inner_text("main") or page.locator(f"a[href*='{served.run_id}']").count()

@@ -1,0 +1,460 @@
+// The page where a person teaches: a pair of clips, an answer, the next pair.
+
+import { api, Refused } from "./api.js";
+import { announce, find, write } from "./dom.js";
+import { early, film } from "./film.js";
+import { call, judge } from "./judge.js";
+import { level, Strip } from "./strip.js";
+import { foreseen, helping, meanwhile, names, said, whenStacked } from "./words.js";
+
+const POLL = 1000; // milliseconds between looks for a question
+const LINGER = 600; // the old pair stays so long before the page says that it waits
+
+export async function teach(run) {
+  early();
+  await new Teaching(run).start();
+}
+
+class Teaching {
+  constructor(run) {
+    this.api = api(run);
+    this.question = null; // as the server gave it
+    this.flipped = false; // sides swapped here, on top of the server's
+    this.again = false; // an earlier answer is being changed
+    this.busy = false;
+    this.answered = null; // number of the question answered last
+    this.asking = 0; // counts looks for a question: only the newest counts
+    this.goal = document.body.dataset.goal || "";
+    this.strip = new Strip(find("strip"), { onAnswer: (a) => this.answer(a), onHover: (side) => this.hint(side) });
+    this.nowEpisode = null;
+  }
+
+  async start() {
+    this.#wire();
+    this.#who();
+    try {
+      this.scene = await this.api.scene();
+      this.player = await film(find("stage"), {
+        scene: this.scene,
+        onPick: (i) => this.pick(i),
+        onChange: (player) => this.#follow(player),
+      });
+    } catch (error) {
+      this.trouble(error, () => location.reload());
+      return;
+    }
+    this.api.events((progress) => {
+      this.progress(progress);
+      if (this.question || this.busy) return;
+      if (this.#wake) this.#wake();
+      else if (find("teach").dataset.mode === "finished" && progress.state !== "finished") this.next();
+    });
+    if (!this.goal) this.setup(true);
+    await this.next();
+  }
+
+  // questions
+
+  /** Looks for the next question until there is one. */
+  async next({ announceIt = true } = {}) {
+    const mine = ++this.asking;
+    const began = performance.now();
+    this.again = false;
+    find("again").hidden = true;
+    let waited = false;
+    while (mine === this.asking) {
+      let got;
+      try {
+        got = await this.api.next(judge());
+      } catch (error) {
+        if (mine !== this.asking) return;
+        this.trouble(error, () => this.next());
+        return;
+      }
+      if (mine !== this.asking) return;
+      this.calm();
+      this.progress(got.progress);
+      const question = got.question;
+      if (question && question.k !== this.answered) {
+        this.show(question);
+        if (announceIt) {
+          const { answers, planned } = got.progress;
+          const what = question.clips.length === 2 ? "pair" : question.clips.length === 1 ? "clip" : "clips";
+          announce(`Next ${what}: ${answers + 1}${planned ? ` of ${planned}` : ""}`);
+        }
+        return;
+      }
+      if (performance.now() - began > LINGER || !this.player.clips.length || got.progress.state === "finished") {
+        this.wait(got.progress);
+        waited = true;
+      }
+      if (got.progress.state === "finished") return;
+      await this.#sleep(waited ? POLL : 150);
+    }
+  }
+
+  #wake = null;
+
+  /** Sleeps until time is over or something happened. */
+  #sleep(ms) {
+    return new Promise((done) => {
+      const clock = setTimeout(() => done(), ms);
+      this.#wake = () => {
+        clearTimeout(clock);
+        this.#wake = null;
+        setTimeout(done, 60);
+      };
+    });
+  }
+
+  show(question, { keepFlip = false } = {}) {
+    this.question = question;
+    if (!keepFlip) this.flipped = false;
+    this.mode("asking");
+    const main = find("teach");
+    main.dataset.question = String(question.k);
+    this.busy = this.strip.busy = false;
+    this.#dim(false);
+    this.player.load({ clips: this.clips(), titles: this.titles() });
+    this.strip.show(question.clips.length, this.shown(question.answer));
+    const pair = question.clips.length === 2;
+    find("swap").hidden = !pair;
+    find("equal-key").hidden = !pair;
+    this.hint(0);
+  }
+
+  /** Clips in the order of this screen. */
+  clips() {
+    return this.flipped ? [...this.question.clips].reverse() : this.question.clips;
+  }
+
+  titles() {
+    const { length } = this.question.clips;
+    return length === 1 ? [] : names(length);
+  }
+
+  /** An answer in the server's order turned to what is shown here, or back. */
+  shown(answer) {
+    if (!answer || !this.flipped || typeof answer.value !== "number" || answer.form === "rating") return answer;
+    return { ...answer, value: -answer.value };
+  }
+
+  async answer(answer) {
+    if (!this.question || this.busy || !this.player) return;
+    const { k, swapped, clips } = this.question;
+    this.busy = this.strip.busy = true;
+    this.strip.mark(answer);
+    this.#dim(true);
+    const words = said(answer, clips.length);
+    try {
+      const { progress } = await this.api.answer({
+        k, judge: judge(), swapped: clips.length === 2 ? Boolean(swapped) !== this.flipped : Boolean(swapped), answer,
+      });
+      this.progress(progress);
+    } catch (error) {
+      this.busy = this.strip.busy = false;
+      this.#dim(false);
+      const gone = error instanceof Refused && [404, 409, 410].includes(error.status);
+      this.trouble(error, gone ? () => this.next() : () => this.answer(answer), gone ? "Go on" : "Try again");
+      return;
+    }
+    this.answered = k;
+    this.question = null;
+    this.told(`You said: ${words}`, true);
+    await this.next();
+  }
+
+  pick(index) {
+    if (!this.question) {
+      this.player.toggle();
+      return;
+    }
+    const { length } = this.question.clips;
+    if (length === 1) this.player.toggle();
+    else if (length === 2) this.answer({ form: "choice", value: index ? -1 : 1 });
+    else this.strip.rank(index);
+  }
+
+  async undo() {
+    if (this.busy || this.again) return;
+    let question;
+    try {
+      ({ question } = await this.api.last(judge()));
+    } catch (error) {
+      this.trouble(error, () => this.undo());
+      return;
+    }
+    if (!question) {
+      this.told("There is nothing to undo yet", false);
+      return;
+    }
+    this.asking++; // whoever looks for the next question stops
+    this.again = true;
+    this.answered = null;
+    this.told("", false);
+    this.show(question);
+    write(find("again-text"), `You said: ${said(question.answer, question.clips.length)}. What is right?`);
+    find("again").hidden = false;
+    announce(`Changing your last answer. You said: ${said(question.answer, question.clips.length)}`);
+  }
+
+  back() {
+    if (!this.again) return;
+    this.answered = this.question?.k ?? null;
+    this.question = null;
+    this.next();
+  }
+
+  swap() {
+    if (!this.question || this.busy || this.question.clips.length !== 2) return;
+    this.flipped = !this.flipped;
+    this.player.load({ clips: this.clips(), titles: this.titles(), keepTime: true });
+    this.strip.show(2, this.shown(this.question.answer));
+    announce("Sides swapped");
+  }
+
+  // what is on the screen
+
+  /** One of "loading", "asking", "waiting", "finished". */
+  mode(mode) {
+    const main = find("teach");
+    if (main.dataset.mode === mode) return;
+    main.dataset.mode = mode;
+    find("answers").hidden = mode !== "asking";
+    find("meanwhile").hidden = mode !== "waiting" && mode !== "finished";
+    find("to-progress").hidden = mode !== "finished";
+    find("small").hidden = mode !== "asking";
+    if (mode !== "asking") delete main.dataset.question;
+  }
+
+  async wait(progress) {
+    const [title, text] = meanwhile(progress);
+    const fresh = find("teach").dataset.mode === "asking" || find("teach").dataset.mode === "loading";
+    this.mode(progress.state === "finished" ? "finished" : "waiting");
+    this.#dim(false);
+    write(find("meanwhile-title"), title);
+    write(find("meanwhile-text"), text);
+    if (fresh) {
+      announce(`${title} ${text}`);
+      this.nowShown = null;
+    }
+    await this.#now();
+  }
+
+  progress(progress) {
+    if (!progress) return;
+    const { answers, planned } = progress;
+    this.state = progress;
+    if (progress.goal && progress.goal !== this.goal) this.#goal(progress.goal);
+    const bar = find("bar");
+    bar.max = Math.max(planned || 0, answers, 1);
+    bar.value = answers;
+    write(find("count"), planned ? `${answers} of ${planned} answers` : `${answers} answers`);
+    write(find("sure"), foreseen(progress));
+    write(find("worth"), helping(progress));
+    find("teach").dataset.state = progress.state;
+    if (progress.episodes !== this.nowEpisode) this.#now();
+  }
+
+  #fetching = false;
+
+  /** Brings what it does now up to date, small beside the pair or large while there is none. */
+  async #now() {
+    if (!this.player || !this.state) return;
+    if (this.state.episodes !== this.nowEpisode && !this.#fetching) {
+      this.#fetching = true;
+      const episode = this.state.episodes;
+      try {
+        const got = await this.api.now();
+        this.nowClip = got.clip;
+        this.nowLabel = `Episode ${got.episode}`;
+        this.nowEpisode = episode;
+      } catch {
+        this.nowEpisode = episode; // asked again at the next episode
+      }
+      this.#fetching = false;
+    }
+    if (!this.nowClip) {
+      const bare = find("teach").dataset.mode !== "asking";
+      if (bare && this.player.clips.length) this.player.load({ clips: [] });
+      return;
+    }
+    const large = ["waiting", "finished"].includes(find("teach").dataset.mode);
+    if (large) {
+      if (this.nowShown === this.nowClip) return;
+      this.nowShown = this.nowClip;
+      this.player.load({ clips: [this.nowClip], titles: ["What I do now"] });
+    } else if (this.smallShown !== this.nowClip) {
+      this.smallShown = this.nowClip;
+      find("now").hidden = false;
+      write(find("now-label"), this.nowLabel);
+      if (this.small) this.small.load({ clips: [this.nowClip], titles: [] });
+      else {
+        this.small = await film(find("now-stage"), {
+          scene: this.scene, clips: [this.nowClip], bar: false, onPick: () => this.small.toggle(),
+        });
+        if (!this.player.playing) this.small.pause();
+      }
+    }
+  }
+
+  #follow(player) {
+    if (!this.small || this.small.playing === player.playing) return;
+    if (player.playing) this.small.play();
+    else this.small.pause();
+  }
+
+  #dim(dim) {
+    find("stage").classList.toggle("dim", dim);
+  }
+
+  /** Marks the side that an answer would prefer. */
+  hint(side) {
+    const figures = find("stage").querySelectorAll(".hp-clip");
+    figures.forEach((figure, i) => figure.classList.toggle("liked", side !== 0 && figures.length === 2 && i === (side > 0 ? 0 : 1)));
+  }
+
+  told(text, undoable) {
+    write(find("told-text"), text);
+    find("told").classList.toggle("shown", Boolean(text));
+    find("undo-told").hidden = !undoable;
+  }
+
+  trouble(error, retry, label = "Try again") {
+    const box = find("trouble");
+    write(find("trouble-text"), error instanceof Refused ? error.message : "This page cannot draw the clips or lost its way.");
+    const again = find("trouble-again");
+    again.textContent = label;
+    again.onclick = () => {
+      box.hidden = true;
+      retry();
+    };
+    box.hidden = false;
+    if (!(error instanceof Refused)) console.error(error);
+  }
+
+  calm() {
+    find("trouble").hidden = true;
+  }
+
+  #goal(goal) {
+    this.goal = goal;
+    write(find("goal"), goal);
+    find("goal").classList.remove("unset");
+  }
+
+  #who() {
+    write(find("who-name"), judge());
+  }
+
+  /** Asks what it should learn, and who is asking. */
+  setup(first = false) {
+    const dialog = find("setup");
+    find("setup-goal").value = this.goal;
+    find("setup-judge").value = judge();
+    find("setup-trouble").hidden = true;
+    find("setup-close").hidden = first;
+    if (!dialog.open) dialog.showModal();
+  }
+
+  async #save(event) {
+    event.preventDefault();
+    const goal = find("setup-goal").value.trim();
+    const before = judge();
+    const now = call(find("setup-judge").value);
+    this.#who();
+    if (goal && goal !== this.goal) {
+      find("setup-save").disabled = true;
+      try {
+        await this.api.goal(goal);
+        this.#goal(goal);
+      } catch (error) {
+        write(find("setup-trouble"), error.message);
+        find("setup-trouble").hidden = false;
+        return;
+      } finally {
+        find("setup-save").disabled = false;
+      }
+    }
+    find("setup").close();
+    if (now !== before) {
+      this.answered = null;
+      this.next({ announceIt: false });
+    }
+  }
+
+  // hands
+
+  #wire() {
+    const on = (id, each) => find(id)?.addEventListener("click", (event) => {
+      each(event);
+      if (event.detail) event.currentTarget?.blur?.(); // so that the space bar pauses afterwards
+    });
+    find("strip").addEventListener("click", (event) => {
+      if (event.detail) document.activeElement?.blur?.();
+    });
+    on("unsure", () => this.answer({ form: "unsure" }));
+    on("undo", () => this.undo());
+    on("undo-told", () => this.undo());
+    on("swap", () => this.swap());
+    on("help-open", () => this.help());
+    on("edit", () => this.setup());
+    on("who", () => this.setup());
+    on("again-back", () => this.back());
+    find("setup-form").addEventListener("submit", (event) => this.#save(event));
+    find("setup-close").addEventListener("click", () => find("setup").close());
+    find("help-close").addEventListener("click", () => find("help").close());
+    whenStacked(() => {
+      if (!this.question) return;
+      this.player.name(this.titles());
+      this.strip.show(this.question.clips.length, this.shown(this.question.answer));
+    });
+    document.addEventListener("keydown", (event) => this.key(event));
+  }
+
+  help() {
+    const dialog = find("help");
+    if (dialog.open) dialog.close();
+    else dialog.showModal();
+  }
+
+  key(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const inHelp = find("help").open;
+    if (document.querySelector("dialog[open]") && !(inHelp && event.key === "h")) return;
+    const { target, key } = event;
+    const tag = target.tagName;
+    if (tag === "TEXTAREA" || tag === "SELECT" || (tag === "INPUT" && target.type !== "range")) return;
+    if (tag === "INPUT" && /^(Arrow|Home|End|Page)/.test(key)) return;
+    if ((tag === "BUTTON" || tag === "A" || tag === "SUMMARY") && (key === " " || key === "Enter")) return;
+    const once = (each) => (event.repeat ? null : each());
+    const count = this.question?.clips.length ?? 0;
+    const act = {
+      ArrowLeft: () => count === 2 && once(() => this.answer({ form: "choice", value: 1 })),
+      ArrowRight: () => count === 2 && once(() => this.answer({ form: "choice", value: -1 })),
+      ArrowDown: () => count === 2 && once(() => this.answer({ form: "equal" })),
+      e: () => count === 2 && once(() => this.answer({ form: "equal" })),
+      u: () => once(() => this.answer({ form: "unsure" })),
+      "?": () => once(() => this.answer({ form: "unsure" })),
+      z: () => once(() => this.undo()),
+      Backspace: () => once(() => this.undo()),
+      Escape: () => this.back(),
+      s: () => once(() => this.swap()),
+      h: () => once(() => this.help()),
+      " ": () => once(() => this.player?.toggle()),
+      "+": () => this.player?.faster(),
+      "=": () => this.player?.faster(),
+      "-": () => this.player?.slower(),
+      "[": () => this.player?.nudge(-1),
+      "]": () => this.player?.nudge(1),
+      r: () => this.player?.resetView(),
+    }[key.length === 1 ? key.toLowerCase() : key];
+    if (act) {
+      if (act() !== false) event.preventDefault();
+    } else if (/^[1-9]$/.test(key) && count) {
+      const step = Number(key);
+      if (count > 2) once(() => this.strip.rank(step - 1));
+      else if (step <= 5) once(() => this.answer(level(step, count)));
+    }
+  }
+}

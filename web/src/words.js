@@ -1,0 +1,76 @@
+// Plain words for what the program knows.
+
+export const RATINGS = ["very bad", "bad", "so-so", "good", "very good"];
+
+const LETTERS = "ABCDEFGH";
+const stacked = matchMedia("(max-width: 640px) and (orientation: portrait)");
+
+/** What the clips are called, as they lie on this screen. */
+export function names(count) {
+  if (count === 1) return ["This clip"];
+  if (count === 2) return stacked.matches ? ["Top", "Bottom"] : ["Left", "Right"];
+  return Array.from({ length: count }, (_, i) => LETTERS[i] ?? String(i + 1));
+}
+
+export function whenStacked(each) {
+  stacked.addEventListener("change", each);
+}
+
+/** An answer as shown, in words: "left much better". */
+export function said(answer, count = 2) {
+  if (!answer) return "no answer";
+  const at = names(count);
+  const side = answer.value > 0 ? at[0] : at[1] ?? "";
+  switch (answer.form) {
+    case "equal": return "equal";
+    case "unsure": return "cannot tell";
+    case "choice": return `${side} better`;
+    case "level":
+      if (!answer.value) return "equal";
+      return `${side} ${Math.abs(answer.value) > 1 ? "much better" : "better"}`;
+    case "rating": return RATINGS[answer.value + 2] ?? `${answer.value}`;
+    case "ranking": return `best to worst: ${answer.value.map((i) => at[i]).join(", ")}`;
+    case "number":
+    case "difference": return `${side} better by ${Math.abs(answer.value).toPrecision(3)}`;
+    default: return typeof answer.value === "number" ? `${side} better` : answer.form;
+  }
+}
+
+/** How many answers it foresaw, of ten. */
+export function foreseen({ sure, answers }) {
+  if (sure === null || sure === undefined) {
+    return answers ? "Too early to say how well it understands you" : "It knows nothing about your wishes yet";
+  }
+  return `It foresees ${Math.round(10 * sure)} of 10 of your answers`;
+}
+
+/** Whether it is worth going on. */
+export function helping({ worth, enough, state }) {
+  if (state === "finished") return "It needs no more answers";
+  if (enough) return "More answers hardly help: you may stop";
+  if (worth === null || worth === undefined || worth > 0.05) return "More answers help a lot";
+  return worth > 0.01 ? "More answers help a little" : "More answers hardly help";
+}
+
+/** What it does while there is nothing to ask: a title and a sentence. */
+export function meanwhile({ state, answers }) {
+  switch (state) {
+    case "warming up":
+      return ["Trying out movements", "It moves about at random first, so that there is something to compare."];
+    case "learning":
+      return ["Practising what you taught it…", "The next pair comes as soon as it has tried something new."];
+    case "finished":
+      return ["Finished", "It has learned from you. This is what it does now."];
+    default:
+      return answers
+        ? ["The next pair is on its way…", "It is looking for what is most worth asking."]
+        : ["Getting ready…", "The first pair comes in a moment."];
+  }
+}
+
+/** A number, short. */
+export function short(x) {
+  if (x === null || x === undefined || !Number.isFinite(x)) return "–";
+  const size = Math.abs(x);
+  return size >= 100 ? Math.round(x).toLocaleString("en") : size >= 1 ? x.toFixed(1) : x === 0 ? "0" : x.toPrecision(2);
+}
