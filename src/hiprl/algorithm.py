@@ -248,9 +248,8 @@ def restart(run: Run, config: Config) -> tuple[SearchState, Count]:
     best = run.archive.best(returns)
     setbacks = jnp.where(tried[best], run.T.last - best, 0)
     lost = (setbacks >= LOST) & (returns[best] < jnp.max(jnp.where(tried, -jnp.inf, returns)))
-    return run.archive.get(jnp.where(lost, 0, best)), jnp.where(
-        lost, 0, setbacks
-    )  # τ_0 is random: nothing is behind it
+    start = jnp.where(lost, 0, best)  # τ_0 is random: nothing is behind it
+    return run.archive.get(start), jnp.where(lost, 0, setbacks)
 
 
 def hallucinated(run: Run, config: Config) -> Hallucinated:

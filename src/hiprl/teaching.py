@@ -46,10 +46,8 @@ from hiprl.types import Key
 from hiprl.world.task import World
 
 OPEN = 3  # questions that wait for an answer at a time
-AT_ONCE, AN_EPISODE = (
-    10,
-    3,
-)  # questions asked before the first policy, and after each: so that each can be about new things
+AT_ONCE = 15  # questions asked before the first policy
+AN_EPISODE = 5  # and after each: so that each can be about new things
 FIRST = 4  # answers before the first search: by fewer, anything could be wanted
 TRIES = 10  # to find a question that was not asked before
 PRACTICE = 4  # episodes without news (an answer, or a better policy by r̂) after which practising waits for an answer

@@ -7,12 +7,10 @@ import io
 from abc import ABC, abstractmethod
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from hiprl.data.film import Film
 
-_mujoco: Any = mujoco  # it comes without types
 GEOMS = {0: "plane", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box", 7: "mesh"}  # MuJoCo's numbers
 HIDDEN_GROUP = 3  # geoms of this group and above are for collisions, and not drawn
 WIDTH = 240  # of a picture, in pixels
@@ -38,14 +36,17 @@ class Bodies(Camera):
     """The bodies of a MuJoCo model: a page draws them, so that nothing needs to be rendered here."""
 
     def __init__(self, model: Any, data: Any, dt: float):
-        self._model, self._data, self._own = model, data, _mujoco.MjData(model)
+        import mujoco  # only here: other worlds run where it cannot be loaded
+
+        self._mujoco: Any = mujoco  # it comes without types
+        self._model, self._data, self._own = model, data, self._mujoco.MjData(model)
         self.scene = {"kind": "mujoco", "dt": dt, "bodies": int(model.nbody), **_geoms(model)}
 
     def look(self) -> np.ndarray:
         # The simulation's own poses are those before its last step in time, and are not ours to renew.
         own = self._own
         own.qpos[:], own.mocap_pos[:], own.mocap_quat[:] = self._data.qpos, self._data.mocap_pos, self._data.mocap_quat
-        _mujoco.mj_kinematics(self._model, own)
+        self._mujoco.mj_kinematics(self._model, own)
         return np.concatenate([own.xpos, own.xquat], axis=1).astype(np.float32)
 
     def film(self, looks: list[Any]) -> Film:
