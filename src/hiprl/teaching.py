@@ -7,6 +7,7 @@ so that nobody who answers waits for a search. They meet in `Known`; trainer and
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -46,8 +47,8 @@ from hiprl.types import Key
 from hiprl.world.task import World
 
 OPEN = 3  # questions that wait for an answer at a time
-AT_ONCE = 15  # questions asked before the first policy
-AN_EPISODE = 5  # and after each: so that each can be about new things
+ROUNDS = 3  # in which questions are asked: within one, nobody waits for the next pair
+REHEARSALS = 3  # episodes of practice before each further round, so that it is about new things
 FIRST = 4  # answers before the first search: by fewer, anything could be wanted
 TRIES = 10  # to find a question that was not asked before
 PRACTICE = 4  # episodes without news (an answer, or a better policy by r̂) after which practising waits for an answer
@@ -121,8 +122,8 @@ class Asking:
             self._seen = answered
         waiting, asked = len(questions) - len(answered), len(questions)
         before = {frozenset(question.clips) for question in questions}
-        policies = int(np.sum(self.known.run.archive.filled))
-        most = min(self.config.comparisons, AT_ONCE + AN_EPISODE * policies)
+        rounds = 1 + int(np.sum(self.known.run.archive.filled)) // REHEARSALS
+        most = min(self.config.comparisons, rounds * math.ceil(self.config.comparisons / ROUNDS))
         while waiting < OPEN and asked < most and not self.stop.is_set():
             new = self._ask(asked + 1, before)
             if new is None:

@@ -38,10 +38,10 @@ class GradientConfig:
     """Looks at the policy in every member during one search, at most."""
     updates: int = 100
     """Policy updates between two looks."""
-    rollouts: int = 25
+    rollouts: int = 100
     """Imagined rollouts an update, for each of the M members."""
-    steps: int = 20
-    """Length of an imagined rollout; the value stands for what follows."""
+    steps: int = 5
+    """Of an imagined rollout; the value stands for what follows. Through more steps, gradients are mostly noise."""
     policy_rate: float = 3e-4
     """Learning rate of the policy (Adam)."""
     value_rate: float = 1e-3
