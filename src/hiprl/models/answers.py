@@ -174,24 +174,27 @@ def _posterior(
     rated = filled & (said.kind == Kind.RATING)
     one = lambda x: jnp.asarray(x, Psi.dtype)
 
+    flat = Psi.reshape(K * J, D)
+    grams = jax.vmap(lambda prior: (flat * prior[None]) @ flat.T)(priors)
+
     def seen(candidate: Candidate, unit: Float[Array, " K"]):
-        """Ψ in the unit of each answer, and the answers with numbers in theirs."""
-        rows = Psi * jnp.where(number, 1.0, candidate.scale / unit)[:, None, None]
+        """What puts each row of Ψ into the unit of its answer, the answers with numbers in theirs, and that unit."""
+        weight = jnp.where(number, 1.0, candidate.scale / unit)
         A = number_unit[candidate.prior]
         scaled = Said(said.kind, jnp.where(number, said.low / A, said.low), said.high, said.items)
-        return rows.reshape(K * J, D), scaled, A
+        return jnp.repeat(weight, J), scaled, A
 
     def solve(candidate: Candidate, unit, mistakes, *, steps: int) -> Posterior:
-        rows, scaled, A = seen(candidate, unit)
+        weight, scaled, A = seen(candidate, unit)
         noise = Noise(candidate.kappa, one(NUMBER_ERROR), mistakes[judge])
         first = jnp.zeros((K, J)).at[:, 0].set(jnp.where(rated, 1.0, 0.0)).reshape(-1)
-        prior = (rows * priors[candidate.prior][None]) @ rows.T + OFFSET * jnp.outer(first, first)
+        prior = grams[candidate.prior] * jnp.outer(weight, weight) + OFFSET * jnp.outer(first, first)
         found = approximate(prior, scaled, filled, noise, steps=steps)
         return found._replace(evidence=found.evidence - jnp.sum(filled & number) * jnp.log(A))
 
     def mean_of(candidate: Candidate, unit, belief: Posterior):
-        rows, _, A = seen(candidate, unit)
-        return A * priors[candidate.prior] * (rows.T @ belief.dual)
+        weight, _, A = seen(candidate, unit)
+        return A * priors[candidate.prior] * (flat.T @ (weight * belief.dual))
 
     def erring(candidate: Candidate, unit, belief: Posterior, mistakes):
         if not learn_mistakes:
@@ -220,8 +223,8 @@ def _posterior(
     (unit, mistakes, best), _ = jax.lax.scan(one_round, start, length=ROUNDS)
     candidate = jax.tree.map(lambda x: x[best], candidates)
     belief = solve(candidate, unit, mistakes, steps=POLISH)
-    rows, _, A = seen(candidate, unit)
+    weight, _, A = seen(candidate, unit)
     prior = priors[candidate.prior]
-    root = A * (belief.root @ rows) * prior[None]
+    root = A * ((belief.root * weight[None]) @ flat) * prior[None]
     errors = Errors(candidate.kappa, erring(candidate, unit, belief, mistakes), candidate.scale / A)
     return (mean_of(candidate, unit, belief), A**2 * prior, root), errors

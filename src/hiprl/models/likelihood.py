@@ -15,7 +15,7 @@ Source: Bradley and Terry (1952); Plackett (1975), Luce (1959); ordered logit, M
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -41,7 +41,9 @@ class Noise(eqx.Module):
     an answer, or one for each."""
 
 
-def between(low: Scalar, high: Scalar, u: Scalar, kappa: Scalar) -> Scalar:
+def between(
+    low: Float[Array, "..."], high: Float[Array, "..."], u: Float[Array, "..."], kappa: Scalar
+) -> Float[Array, "..."]:
     """Log of the probability that u plus a logistic error of scale κ lies in [low, high]."""
     wide = 1e6  # in scales of the error: as good as infinite, and its gradient is a number
     a = jnp.clip((low - u) / kappa, -wide, wide)
@@ -102,6 +104,47 @@ def log_likelihood(u: Float[Array, " J"], said: Said, noise: Noise) -> Scalar:
     true, false = meant(u, said, noise), mistaken(u, said, noise)
     either = jnp.logaddexp(jnp.log1p(-noise.mistake) + true, jnp.log(jnp.maximum(noise.mistake, LEAST)) + false)
     return jnp.where(said.kind == Kind.NUMBER, true, either)
+
+
+class Terms(NamedTuple):
+    """Log likelihood of answers about one difference u each, and how it changes with u."""
+
+    value: Float[Array, " rows"]
+    slope: Float[Array, " rows"]
+    curvature: Float[Array, " rows"]
+    """Minus the second derivative, as `curvature` has it."""
+
+
+def level_terms(
+    low: Float[Array, " rows"], high: Float[Array, " rows"], u: Float[Array, " rows"], kappa: Scalar
+) -> Terms:
+    """`between` with its derivatives; for the logistic distribution F these are F(a) + F(b) - 1 and F′(a) + F′(b)."""
+    F_a, F_b = jax.nn.sigmoid((low - u) / kappa), jax.nn.sigmoid((high - u) / kappa)
+    curvature = F_a * (1 - F_a) + F_b * (1 - F_b)
+    return Terms(between(low, high, u, kappa), (F_a + F_b - 1) / kappa, curvature / kappa**2)
+
+
+def terms(u: Float[Array, " rows"], said: Said, noise: Noise) -> Terms:
+    """Log likelihood of a stack of answers, each about two clips or one, mistakes included."""
+    number, ranking = said.kind == Kind.NUMBER, said.kind == Kind.RANKING
+    g = jnp.where(number, said.low, 0.0)
+    low = jnp.where(ranking, 0.0, jnp.where(number, -1.0, said.low))  # a ranking of two is a choice
+    high = jnp.where(ranking, jnp.inf, jnp.where(number, 1.0, said.high))
+    alone = ranking & (said.items < 2)
+    true, turned = level_terms(low, high, u, noise.kappa), level_terms(low, high, -u, noise.kappa)
+    true = jax.tree.map(lambda x: jnp.where(alone, 0.0, x), true)
+    any_order = Terms(-jax.lax.lgamma(said.items + 1.0), jnp.zeros(()), jnp.zeros(()))
+    false = Terms(turned.value, -turned.slope, turned.curvature)
+    false = jax.tree.map(lambda x, y: jnp.where(ranking, x, y), any_order, false)
+    erring = jnp.log(jnp.maximum(noise.mistake, LEAST)) + false.value
+    value = jnp.logaddexp(jnp.log1p(-noise.mistake) + true.value, erring)
+    wrong = jnp.minimum(jnp.exp(erring - value), 1.0)
+    mixed = lambda x, y: (1 - wrong) * x + wrong * y
+    either = Terms(value, mixed(true.slope, false.slope), mixed(true.curvature, false.curvature))
+    exact = Terms(
+        -0.5 * (u - g) ** 2 / noise.var - 0.5 * jnp.log(2 * jnp.pi * noise.var), (g - u) / noise.var, 1 / noise.var
+    )
+    return jax.tree.map(lambda x, y: jnp.where(number, x, y), exact, either)
 
 
 def responsibility(u: Float[Array, " J"], said: Said, noise: Noise) -> Scalar:

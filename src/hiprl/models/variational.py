@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from hiprl.data.preference import Said
-from hiprl.models.likelihood import Noise, curvature, for_each, log_likelihood
+from hiprl.models.likelihood import Noise, curvature, for_each, log_likelihood, terms
 from hiprl.types import Scalar
 
 JITTER = 1e-10
@@ -70,6 +70,11 @@ def approximate(
 
     def over_belief(f: Float[Array, " n"], S: Float[Array, "rows J J"]):
         """Mean of the log likelihood, of its slope and of its curvature, for each row."""
+        if J == 1:  # the common case, with derivatives written out
+            u = f[None] + jnp.sqrt(S[:, 0, 0] + JITTER)[None] * z
+            found = jax.vmap(lambda u: terms(u, said, noise))(u)
+            value, slope, bend = (jnp.where(filled, weights @ x, 0.0) for x in found)
+            return value, slope, bend[:, None, None]
         L = jnp.linalg.cholesky(S + JITTER * jnp.eye(J, dtype=K.dtype)[None])
         u = f.reshape(1, rows, J) + jnp.einsum("rij,zj->zri", L, z)
         mean = lambda of: jnp.tensordot(weights, jax.vmap(lambda u: for_each(of, u, said, noise))(u), 1)
