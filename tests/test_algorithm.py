@@ -171,9 +171,9 @@ def test_a_search_begins_at_the_best_or_at_the_newest_policy(runs):
     best = lambda run: int(run.archive.best(run.reward.returns(run.T)))
     run = min(either, key=best)
     best = best(run)
-    state, setbacks = restart(run, TINY)
+    state, _, setbacks = restart(run, TINY)
     assert same(state, run.archive.get(best)) and int(setbacks) == TINY.comparisons - best > 0
-    state, setbacks = restart(run, replace(TINY, restart=False))
+    state, _, setbacks = restart(run, replace(TINY, restart=False))
     assert same(state, run.archive.get(TINY.comparisons)) and int(setbacks) == 0
 
 
@@ -199,17 +199,17 @@ def test_a_search_begins_anew_where_the_best_policy_stays_worse_than_random_acti
 
     n = int(searched.sum())
     worse = [-5.0, *[-9.0] * (n - 1)]  # the first policy is the best of them, and no later one was better
-    state, setbacks = begins(0.0, worse)
+    state, _, setbacks = begins(0.0, worse)
     assert same(state, run.archive.get(0)) and int(setbacks) == 0
-    state, setbacks = begins(-7.0, worse)  # random actions were worse still
+    state, _, setbacks = begins(-7.0, worse)  # random actions were worse still
     assert same(state, run.archive.get(first)) and int(setbacks) == n - 1
-    state, setbacks = begins(0.0, worse[::-1])  # the newest one is the best: that may go on
+    state, _, setbacks = begins(0.0, worse[::-1])  # the newest one is the best: that may go on
     assert same(state, run.archive.get(run.T.last)) and int(setbacks) == 0
 
 
 def test_the_first_search_has_no_setbacks(runs):
-    state, setbacks = restart(runs[0][TINY.warm_up - 1], TINY)
-    assert same(state, runs[0][0].archive.get(0)) and int(setbacks) == 0
+    state, tried, setbacks = restart(runs[0][TINY.warm_up - 1], TINY)
+    assert same(state, runs[0][0].archive.get(0)) and not tried and int(setbacks) == 0
 
 
 class Again(World):

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -30,6 +31,7 @@ CONFIG = GradientConfig(
 )
 TWO = np.array([0.3, -0.5])
 NONE = jnp.asarray(0)
+NO = jnp.asarray(False)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +40,7 @@ def search():
 
     @jax.jit
     def compiled(f_tilde, reward, unit, places, state, key):
-        settings = {"H": 1000, "setbacks": NONE, "key": key}
+        settings = {"H": 1000, "tried": NO, "setbacks": NONE, "key": key}
         return gradient_search(f_tilde, reward, unit, None, places, state, CONFIG, **settings)
 
     return compiled
@@ -106,7 +108,9 @@ def test_a_linear_system_is_driven_within_three_percent_of_its_optimum():
 
     @jax.jit
     def longer(f_tilde, reward, unit, places, state, key):
-        return gradient_search(f_tilde, reward, unit, None, places, state, config, H=1000, setbacks=NONE, key=key)
+        return gradient_search(
+            f_tilde, reward, unit, None, places, state, config, H=1000, tried=NO, setbacks=NONE, key=key
+        )
 
     task, state, _ = linear_search(longer, unit=0.02)
     task, state, _ = linear_search(longer, state=state, seed=3, unit=0.02)
@@ -157,7 +161,7 @@ def test_a_search_goes_less_far_from_where_others_went_wrong():
 
     @jax.jit
     def search(state, key, setbacks):
-        settings = {"H": 1000, "setbacks": setbacks, "key": key}
+        settings = {"H": 1000, "tried": NO, "setbacks": setbacks, "key": key}
         return gradient_search(known(), reward, jnp.asarray(1.0), None, starts(), state, config, **settings)
 
     whole, half, quarter, none = (
@@ -166,6 +170,23 @@ def test_a_search_goes_less_far_from_where_others_went_wrong():
     assert (whole != half).any()  # two chunks, then one, and no less
     np.testing.assert_array_equal(half, quarter)
     np.testing.assert_array_equal(half, none)
+
+
+def test_a_policy_that_was_executed_is_kept_where_nothing_better_is_found():
+    config = replace(CONFIG, updates=20, policy_rate=1e-3)
+    reward = quadratic(R=np.eye(q), c=TWO)
+
+    @partial(jax.jit, static_argnames=("config",))
+    def search(state, config, tried):
+        settings = {"H": 1000, "tried": jnp.asarray(tried), "setbacks": NONE, "key": jr.key(2)}
+        return gradient_search(known(), reward, jnp.asarray(1.0), None, starts(), state, config, **settings)
+
+    good, report = search(blank(), config, False)
+    wild = replace(config, policy_rate=1.0)
+    kept, as_before = search(good, wild, True)
+    np.testing.assert_allclose(modes(kept, starts().seen), modes(good, starts().seen), rtol=1e-5)
+    assert float(as_before.worst) == pytest.approx(float(report.worst), rel=0.05)
+    assert float(search(good, wild, False)[1].worst) < float(as_before.worst)
 
 
 @pytest.mark.parametrize(("H", "gamma"), [(31, 0.99), (500, 0.99), (800, 0.99375), (1000, 0.995), (10_000, 0.995)])
@@ -195,7 +216,17 @@ def test_hope_makes_a_reward_out_of_reach_look_near(mode):
     @jax.jit
     def run(f_tilde, state):
         return gradient_search(
-            f_tilde, reward, jnp.asarray(1.0), None, starts(), state, CONFIG, H=1000, setbacks=NONE, key=jr.key(2)
+            f_tilde,
+            reward,
+            jnp.asarray(1.0),
+            None,
+            starts(),
+            state,
+            CONFIG,
+            H=1000,
+            tried=NO,
+            setbacks=NONE,
+            key=jr.key(2),
         )
 
     values = {}

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 
 from benchmarks.clicker import CHROMIUM, chromium, started
 from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, level
@@ -14,10 +15,7 @@ from hiprl.store.store import Store
 from hiprl.web.shown import turned
 from tests.web.made import a_taught_run
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is here (Debian: apt-get install chromium)"),
-]
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is here (Debian: apt-get install chromium)")
 PATIENCE = 60_000  # milliseconds, on a machine that does other things too
 
 
@@ -156,3 +154,26 @@ def test_progress_and_the_list_of_runs_are_there(served: Served):
     page.wait_for_selector("main")
     page.goto(served.home)
     assert served.run_id in page.inner_text("main") or page.locator(f"a[href*='{served.run_id}']").count()
+
+
+def serious(page: Any) -> list[str]:
+    """What axe-core finds that would keep somebody out."""
+    found = Axe().run(page).response["violations"]
+    return [f"{one['id']}: {one['help']}" for one in found if one["impact"] in ("serious", "critical")]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_nobody_is_kept_out(served: Served, scheme: str):
+    page = served.tab("/teach")
+    page.emulate_media(color_scheme=scheme)
+    served.press(page, "1")
+    served.shown(page)
+    found = {"teach": serious(page)}
+    for where in ("/review", ""):
+        page.goto(f"{served.home}/runs/{served.run_id}{where}")
+        page.wait_for_load_state("networkidle" if where else "load")
+        page.wait_for_selector("main")
+        found[where or "run"] = serious(page)
+    page.goto(served.home)
+    found["runs"] = serious(page)
+    assert found == dict.fromkeys(found, [])

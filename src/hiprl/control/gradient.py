@@ -10,6 +10,7 @@ Source: value gradients through a model (SVG, Heess et al. 2015; Dreamer, Hafner
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -23,7 +24,7 @@ from hiprl.control.policy import SquashedPolicy, Value
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.fit import descend, descent
 from hiprl.models.network import Activation, Scaler
-from hiprl.types import Count, Key, Reward, Scalar, State, stacked_size
+from hiprl.types import Count, Flag, Key, Policy, Reward, Scalar, State, stacked_size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +90,7 @@ def gradient_search(
     config: GradientConfig,
     *,
     H: int,
+    tried: Flag,
     setbacks: Count,
     key: Key,
 ) -> tuple[SearchState, SearchReport]:
@@ -102,6 +104,7 @@ def gradient_search(
         starts: where rollouts begin.
         state: policy and value of the search before.
         H: most steps in an episode; a trial lasts no longer.
+        tried: whether the policy of `state` was executed: it is kept where no later iterate is better.
         setbacks: searches from `state` that went wrong in the world; after any, this one is half as long.
     """
     gamma = config.discount(H)
@@ -183,20 +186,25 @@ def gradient_search(
 
     everywhere = f_tilde.in_each_member()
 
+    def trial(policy: Policy, key: Key) -> SearchReport:
+        length = {"steps": min(config.trial_steps, H), "n": config.trial_starts}
+        return report_of(trials(everywhere, policy, reward, ends, starts.first, **length, key=key))
+
     def chunk(_, carry):
         learner, best, best_report, key = carry
         key, update_key, trial_key = jr.split(key, 3)
         learner, _ = jax.lax.scan(update, learner, jr.split(update_key, config.updates))
         policy, value = learner[:2]
-        trial = {"steps": min(config.trial_steps, H), "n": config.trial_starts}
-        report = report_of(trials(everywhere, policy, reward, ends, starts.first, **trial, key=trial_key))
+        report = trial(policy, trial_key)
         better = report.finite & ~(report.worst <= best_report.worst)
         keep = lambda new, old: jnp.where(better, new, old)
         best = jax.tree.map(keep, SearchState(policy, value), best)
         return learner, best, jax.tree.map(keep, report, best_report), key
 
     learner = (policy, value, value, descent(policy_opt, policy), descent(value_opt, value))
-    carry = (learner, SearchState(policy, value), SearchReport.nothing(), key)
+    first_key, key = jr.split(key)
+    first = jax.tree.map(partial(jnp.where, tried), trial(policy, first_key), SearchReport.nothing())
+    carry = (learner, SearchState(policy, value), first, key)
     # A policy near one that holds in the world is likelier to hold there: the model is at fault further away.
     length = jnp.maximum(config.chunks >> jnp.minimum(setbacks, 1), 1)
     _, best, report, _ = jax.lax.fori_loop(0, length, chunk, carry)
