@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -25,7 +26,7 @@ from hiprl.feedback.questions import pick_clips
 from hiprl.models.estimate import estimate_reward
 from hiprl.models.quality import shapes
 from hiprl.models.reward import AdditiveReward, EstimatedReward
-from hiprl.report.evidence import given_in, names_of, shares
+from hiprl.report.evidence import given_in, names_of, opinions, shares
 from hiprl.session import (
     Facts,
     RunSpec,
@@ -50,6 +51,7 @@ OPEN = 3  # questions that wait for an answer at a time
 ROUNDS = 3  # in which questions are asked: within one, nobody waits for the next pair
 REHEARSALS = 3  # episodes of practice before each further round, so that it is about new things
 FIRST = 4  # answers before the first search: by fewer, anything could be wanted
+AGAIN = 6  # one question in so many is one that was answered, for another judge: do they agree?
 TRIES = 10  # to find a question that was not asked before
 PRACTICE = 4  # episodes without news (an answer, or a better policy by r̂) after which practising waits for an answer
 LITTLE = 0.01  # of what was gained so far: less is no news
@@ -92,6 +94,8 @@ class Asking:
         self.weights: dict[str, float] = {}
         self.disagrees: list[int] = []
         """Questions that r̂ would answer otherwise than the judge did."""
+        self.opinions: dict[str, Any] = {}
+        """Who answered, and how often each errs, where there are several."""
         self.stop = threading.Event()
         self.failed: BaseException | None = None
         self._seen: dict[int, Any] = {}
@@ -125,7 +129,7 @@ class Asking:
         rounds = 1 + int(np.sum(self.known.run.archive.filled)) // REHEARSALS
         most = min(self.config.comparisons, rounds * math.ceil(self.config.comparisons / ROUNDS))
         while waiting < OPEN and asked < most and not self.stop.is_set():
-            new = self._ask(asked + 1, before)
+            new = self._ask_again(asked + 1, questions) or self._ask(asked + 1, before)
             if new is None:
                 break
             asked, waiting = asked + 1, waiting + 1
@@ -143,6 +147,18 @@ class Asking:
         self.disagrees = [k for k, right in sides_of(after, questions).items() if right == 0]
         if isinstance(reward, AdditiveReward):
             self.weights = shares(shapes(reward, after.T), names_of(self.row, after.T))
+            self.opinions = opinions(self.store, self.row, after.T, P, self.config.reward)
+
+    def _ask_again(self, k: int, questions: list[QuestionRow]) -> frozenset[ClipRow] | None:
+        """Asks the newest question that was answered, and asked once only; None if it is not time for that."""
+        if k % AGAIN or len(self.opinions.get("judges", [])) < 2:
+            return None
+        times = Counter(frozenset(question.clips) for question in questions)
+        for question in reversed(questions):
+            if question.answer is not None and times[frozenset(question.clips)] == 1:
+                self.store.ask(self.row.id, k, question.clips)
+                return frozenset(question.clips)
+        return None
 
     def _ask(self, k: int, before: set[frozenset[ClipRow]]) -> frozenset[ClipRow] | None:
         """Asks something new; None if there is nothing before the next episode."""
@@ -266,7 +282,7 @@ def practised(
     if asking is not None:
         told, asking.foresight = asking.foresight, []
         facts |= {"foreseen": float(np.mean(told)) if told else None}
-        facts |= {"weights": asking.weights, "disagrees": asking.disagrees}
+        facts |= {"weights": asking.weights, "disagrees": asking.disagrees, **asking.opinions}
     facts = finite_or_none(facts)
     store.finish_episode(run_id, facts["k"], facts, pack(known.run))
     watch(facts)

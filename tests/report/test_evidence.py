@@ -14,7 +14,7 @@ from hiprl.models.estimate import estimate_reward
 from hiprl.models.quality import cross_validated, shapes
 from hiprl.models.reward import AdditiveConfig
 from hiprl.report.beliefs import beliefs
-from hiprl.report.evidence import as_said, consistency, evidence_of, quality, told
+from hiprl.report.evidence import agreement, as_said, consistency, evidence_of, opinions, quality, told
 from hiprl.spec import to_plain
 from hiprl.store.rows import ClipRow
 from hiprl.store.store import open_store
@@ -143,6 +143,26 @@ def test_a_judge_who_contradicts_himself_is_told(evidence):
         choice(second), clips[::-1], at_hand=at_hand
     )
     assert consistency(said(True, False)) == 1 and consistency(said(True, True)) == 0
+    assert agreement(said(True, True)) is None  # one judge alone
+
+
+def test_two_judges_are_held_against_each_other(T, tmp_path):
+    store, run = stored(tmp_path / "runs.db", T, lambda a, b: choice(a > b))
+    with store:
+        _, clips = next(pairs())
+        for k, answer in ((N, choice(paid(T, clips[0]) > paid(T, clips[1]))), (N + 1, choice(False))):
+            store.ask(run, k, clips)
+            store.answer(run, k, answer, "ada" if k == N else "rule")
+        row = store.run(run)
+        again, P = evidence_of(store, row)
+        found = opinions(store, row, again, P, LINEAR)
+        assert found["agreement"] in (0.5, 1.0) and agreement(P) == found["agreement"]
+        assert [(one["judge"], one["answers"]) for one in found["judges"]] == [("rule", N), ("ada", 1)]
+        assert all(0 <= one["mistakes"] <= 0.5 for one in found["judges"])
+
+
+def test_one_judge_alone_has_nobody_to_agree_with(numbers, evidence):
+    assert opinions(*numbers, *evidence, LINEAR) == {"judges": [], "agreement": None}
 
 
 @pytest.mark.slow

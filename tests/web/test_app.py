@@ -12,6 +12,7 @@ from hiprl.data.film import Film
 from hiprl.store.rows import ClipRow
 from hiprl.store.store import Store
 from hiprl.web.access import Doors
+from hiprl.web.app import app_of
 from hiprl.web.shown import turned
 from tests.web.made import SCENE, a_taught_run, poses
 
@@ -73,6 +74,41 @@ def test_an_answer_can_be_turned(answer: Answer, other: Answer):
 def test_two_judges_are_not_asked_the_same_at_once(client, run_id: str):
     assert [asked(client, run_id, judge)["k"] for judge in ("ada", "bo", "ada", "cy")] == [1, 2, 1, 3]
     assert asked(client, run_id, "dan") is None
+
+
+def test_what_a_judge_has_answered_waits_for_another(client, store: Store, run_id: str):
+    clips = store.questions(run_id)[0].clips
+    store.answer(run_id, 1, choice(True), "ada")
+    store.ask(run_id, 4, clips)
+    asked = lambda judge: client.get(f"/api/runs/{run_id}/next", params={"judge": judge}).json()["question"]["k"]
+    assert asked("ada") == 2
+    store.answer(run_id, 2, choice(True), "ada")
+    assert asked("ada") == 3 and asked("bo") == 4
+    store.answer(run_id, 3, choice(True), "ada")
+    store.answer(run_id, 4, choice(True), "bo")
+    store.ask(run_id, 5, clips)
+    assert asked("ada") == 5  # nothing else is left
+
+
+def test_pictures_of_a_run_are_drawn_when_looked_at(store: Store, run_id: str, doors: Doors):
+    draw = {"learning-curve": lambda run: f"png of {run}".encode()}
+    with TestClient(app_of(store, doors, hosts=["testserver"], pictures=draw)) as client:
+        client.get("/enter", params={"token": doors.token})
+        facts = lambda: client.get(f"/api/runs/{run_id}/facts").json()["pictures"]
+        assert facts() == []  # nothing has been learned yet
+        store.finish_episode(run_id, 1, {"k": 1, "weights": {}}, b"1")
+        (linked,) = facts()
+        found = client.get(linked["url"])
+        assert found.content == f"png of {run_id}".encode() and found.headers["content-type"] == "image/png"
+        for name in ("other", "..%2f..%2fetc%2fpasswd", "learning-curve.png"):
+            assert client.get(f"/runs/{run_id}/pictures/{name}.png").status_code == 404
+
+
+def test_the_run_page_is_told_who_answered(client, store: Store, run_id: str):
+    judges = [{"judge": "<i>ada</i>", "answers": 3, "mistakes": 0.02}]
+    store.finish_episode(run_id, 1, {"k": 1, "weights": {"x": 1.0}, "judges": judges, "agreement": 0.5}, b"1")
+    found = client.get(f"/api/runs/{run_id}/facts").json()
+    assert found["judges"] == judges and found["agreement"] == 0.5
 
 
 def test_undo_brings_back_the_last_question_as_it_was_shown(client, store: Store, run_id: str):

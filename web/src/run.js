@@ -53,6 +53,14 @@ export async function progress(run) {
     }));
   }
 
+  function judges(each, agreement) {
+    find("judges").hidden = !each.length;
+    find("judges-list").replaceChildren(...each.map(({ judge, answers, mistakes }) =>
+      make("li", {}, `${judge}: ${answers} answers${known(mistakes) ? `, wrong in about ${Math.round(100 * mistakes)} %` : ""}`)));
+    find("agreement").hidden = !known(agreement);
+    write(find("agreement"), `Asked the same, two of you say the same in ${Math.round(100 * (agreement ?? 0))} %.`);
+  }
+
   function table(episodes) {
     const row = (cells, tag) => make("tr", {}, cells.map((c) => make(tag, tag === "th" ? { scope: "col" } : {}, c)));
     find("table-head").replaceChildren(row(["Episode", "Answers", "By what it learned", "True return"], "th"));
@@ -67,6 +75,8 @@ export async function progress(run) {
     const truth = curve("truth", episodes, "true_return", "True return");
     curve("foreseen", share(episodes), "foreseen", "Answers it foresaw", { floor: 0, ceiling: 1, percent: true });
     curve("worth-of", episodes, "worth", "Worth of the next answer", { floor: 0 });
+    curve("coverage", episodes, "coverage", "Coverage", { floor: 0, ceiling: 1, percent: true });
+    judges(got.judges ?? [], got.agreement);
     bars(got.weights);
     table(episodes);
     find("numbers").hidden = !episodes.length;
@@ -74,9 +84,8 @@ export async function progress(run) {
     const list = got.pictures ?? [];
     find("pictures").hidden = !list.length;
     find("pictures-list").replaceChildren(...list.map((it) => {
-      const [address, name] = typeof it === "string" ? [it, it.split("/").at(-1)] : [it.url ?? it.href, it.title ?? it.name];
-      const safe = new URL(address, location.href);
-      return make("li", {}, make("a", { href: safe.origin === location.origin ? safe.href : "#" }, name));
+      const safe = new URL(it.url, location.href);
+      return make("li", {}, make("a", { href: safe.origin === location.origin ? safe.href : "#" }, it.title));
     }));
   }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import ipaddress
 import os
 import signal
@@ -10,15 +11,21 @@ import socket
 import sys
 import threading
 import webbrowser
+from collections.abc import Callable
+from functools import partial
 from urllib.parse import quote
 
 import uvicorn
+from matplotlib.figure import Figure
 
 from hiprl.cli.commands import Facts, Serve
 from hiprl.errors import InputError
-from hiprl.store.store import open_store
+from hiprl.report.figures import PICTURES, overview, single
+from hiprl.report.record import Record, record
+from hiprl.report.style import look
+from hiprl.store.store import Store, open_store
 from hiprl.web.access import Doors
-from hiprl.web.app import app_of
+from hiprl.web.app import Picture, app_of
 
 PASSWORD = "HIPRL_PASSWORD"
 """Of the page, in the environment: a command line is for all to see."""
@@ -44,7 +51,7 @@ def serve(command: Serve) -> Facts:
 
         doors = Doors(os.environ.get(PASSWORD) or None, told=again)
         hosts = ["localhost", "127.0.0.1", "[::1]"] if loopback(host) else ["*"]
-        app = app_of(store, doors, hosts=hosts)
+        app = app_of(store, doors, hosts=hosts, pictures=drawings(store))
         quietly = uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=1, server_header=False)
         server = uvicorn.Server(quietly)
         if os.environ.get(WITH_PARENT):
@@ -57,6 +64,20 @@ def serve(command: Serve) -> Facts:
         with contextlib.suppress(KeyboardInterrupt):
             server.run(sockets=[listener])
         return {"address": f"http://{home}:{port}", "store": store.name}
+
+
+def drawings(store: Store) -> dict[str, Picture]:
+    """What `hiprl show` draws of a run by its facts, drawn when somebody looks."""
+    one_at_a_time = threading.Lock()  # Matplotlib's settings belong to the whole process
+
+    def picture(draw: Callable[[Record], Figure], run_id: str) -> bytes:
+        drawn = io.BytesIO()
+        with one_at_a_time, look():
+            draw(record(store, store.run(run_id))).savefig(drawn, format="png")
+        return drawn.getvalue()
+
+    draws = {"overview": overview} | {name: partial(single, panels=panels) for name, panels in PICTURES.items()}
+    return {name: partial(picture, draw) for name, draw in draws.items()}
 
 
 def listening(host: str, port: int) -> socket.socket:

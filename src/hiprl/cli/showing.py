@@ -16,7 +16,7 @@ from hiprl.models.reward import AdditiveConfig
 from hiprl.report.arm_figure import comparison
 from hiprl.report.arms import arms_of, compared
 from hiprl.report.beliefs import beliefs
-from hiprl.report.evidence import Told, evidence_of, quality, told
+from hiprl.report.evidence import Told, evidence_of, opinions, quality, told
 from hiprl.report.figures import headline, pictures
 from hiprl.report.record import Record, beside, newest, record
 from hiprl.report.setting import setting
@@ -35,6 +35,7 @@ def show(command: Show) -> Facts:
     with open_store(command.store, create=False) as store:
         run = record(store, newest(store) if command.run is None else store.find_run(command.run))
         learned = told_by(store, run)
+        judges = {} if learned is None else opinions(store, run.row, learned.T, learned.P, AdditiveConfig())
         others = [] if command.run is not None else [record(store, row) for row in store.runs()]
     folder = Path(command.out).expanduser() if command.out is not None else beside(command.store, run.id)
     facts = summary(run)
@@ -44,6 +45,7 @@ def show(command: Show) -> Facts:
     figures = pictures(run)
     if learned is not None:
         facts |= quality(learned.T, learned.P, AdditiveConfig(), folds=FOLDS) | {"weights": learned.weights}
+        facts |= judges
         unit = float(learned.reward.unit)
         figures["beliefs"] = beliefs(learned.shapes, unit, learned.names, headline(run))
     out.print(table_of_numbers(run, facts))
@@ -184,9 +186,17 @@ def words_of(facts: Facts) -> dict[str, str]:
         "kept answers, log likelihood": f"{known(facts['held_out_log_likelihood'])} nats an answer",
         "kept numbers in their 90 % interval": percent(facts["coverage_90"]),
         "same question, same side": percent(facts["consistency"]),
+        "same question, another judge": percent(facts.get("agreement")),
+        "judges": ", ".join(map(judge_in_words, facts.get("judges", []))) or "-",
     }
     goes_by = ", ".join(f"{name} {percent(share)}" for name, share in facts["weights"].items())
     return {name: words for name, words in said.items() if not words.startswith("-")} | {"r̂ goes by": goes_by}
+
+
+def judge_in_words(one: Facts) -> str:
+    """A judge, with what they gave and how often they err."""
+    erring = "" if one["mistakes"] is None else f", errs in {percent(one['mistakes'])}"
+    return f"{one['judge']} ({one['answers']} answers{erring})"
 
 
 def table_of_arms(lines: Sequence[Facts]) -> Table:

@@ -13,6 +13,7 @@ from hiprl.data.preference import WHOLE, Given, Preferences
 from hiprl.data.trajectory import trajectory_from
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import InputError
+from hiprl.models.answers import JUDGES, estimate_from_answers
 from hiprl.models.estimate import RewardConfig, estimate_reward
 from hiprl.models.quality import Held, Shape, cross_validated, shapes
 from hiprl.models.reward import AdditiveConfig, AdditiveReward
@@ -47,7 +48,7 @@ def evidence_of(store: Store, row: RunRow) -> tuple[Trajectories, Preferences]:
 def given_in(store: Store, row: RunRow, asked: Sequence[QuestionRow], *, capacity: int) -> Preferences:
     """The newest answers to these questions, in a P of this room."""
     by = {answer.k: answer.judge for answer in store.answers(row.id)}
-    judges = {name: i for i, name in enumerate(dict.fromkeys(by.values()))}
+    judges = {name: i for i, name in enumerate(judges_of(store, row))}
     config = from_plain(row.spec["config"])
     given = [
         Given(
@@ -137,15 +138,47 @@ def quality(T: Trajectories, P: Preferences, config: RewardConfig, *, folds: int
 
 
 def consistency(P: Preferences) -> float | None:
-    """Share of the questions asked twice that got the same side twice; None if none was."""
+    """Share of the questions that one judge was asked twice, and answered with the same side; None if none was."""
+    return _same_side(P, by_one=True)
+
+
+def agreement(P: Preferences) -> float | None:
+    """Share of the questions that two judges were asked, and answered with the same side; None if none was."""
+    return _same_side(P, by_one=False)
+
+
+def _same_side(P: Preferences, *, by_one: bool) -> float | None:
     n = int(P.count)
     low, high = (np.clip(np.asarray(x)[:n], -1e9, 1e9) for x in (P.said.low, P.said.high))
-    side = np.sign(low + high)
+    side, judge = np.sign(low + high), np.asarray(P.judge)[:n]
     clips = np.stack([np.asarray(x)[:n] for x in (P.clips.of, P.clips.start, P.clips.length)], axis=-1)
     agreed = []
     for i in range(n):
         for j in range(i):
             same, turned = (clips[i] == clips[j]).all(), (clips[i] == clips[j][::-1]).all()
-            if same or turned:
+            if (same or turned) and (judge[i] == judge[j]) == by_one:
                 agreed.append(side[i] == (side[j] if same else -side[j]))
     return float(np.mean(agreed)) if agreed else None
+
+
+def judges_of(store: Store, row: RunRow) -> list[str]:
+    """The names of those whose answers count, by their number in P."""
+    by = {answer.k: answer.judge for answer in store.answers(row.id)}
+    return list(dict.fromkeys(by.values()))
+
+
+def opinions(store: Store, row: RunRow, T: Trajectories, P: Preferences, config: RewardConfig) -> dict[str, Any]:
+    """Who answered how much and how often each errs, where there are several; and how often they agree."""
+    names, by = judges_of(store, row), np.asarray(P.judge)[: int(P.count)]
+    if len(names) < 2 or not isinstance(config, AdditiveConfig):
+        return {"judges": [], "agreement": None}
+    mistakes = None if P.only_numbers() else estimate_from_answers(P, T, config.smooth, learn_mistakes=True)[1].mistakes
+    each = [
+        {
+            "judge": name,
+            "answers": int(np.sum(by == i)),
+            "mistakes": None if mistakes is None else float(mistakes[min(i, JUDGES - 1)]),
+        }
+        for i, name in enumerate(names)
+    ]
+    return {"judges": each, "agreement": agreement(P)}

@@ -285,22 +285,25 @@ class Store:
     def claim(self, run_id: str, judge: str, *, seconds: float = 60.0) -> QuestionRow | None:
         """The oldest open question of a run that nobody else is looking at; it is this judge's for a while.
 
-        None if there is none. Two judges are never asked the same at the same time.
+        None if there is none. Two judges are never asked the same at the same time. What this judge has answered
+        before is asked only if there is nothing else: it waits for another judge.
         """
         now = datetime.now(UTC)
         with self._database.writing() as connection:
             lock_run(connection, run_id, self.name)
             free = (claims.c.question_id.is_(None)) | (claims.c.judge == judge) | (claims.c.expires_at < now)
+            mine = sa.select(questions.c.clips).join(answers).where(questions.c.run_id == run_id)
+            known = [row.clips for row in connection.execute(mine.where(answers.c.judge == judge))]
             query = (
-                sa.select(questions.c.id)
+                sa.select(questions.c.id, questions.c.clips)
                 .select_from(questions.outerjoin(claims).outerjoin(answers))
                 .where(questions.c.run_id == run_id, answers.c.id.is_(None), free)
                 .order_by(questions.c.k)
-                .limit(1)
             )
-            question_id = connection.execute(query).scalar()
-            if question_id is None:
+            found = sorted(connection.execute(query), key=lambda row: row.clips in known)  # else oldest first
+            if not found:
                 return None
+            question_id = found[0].id
             connection.execute(sa.delete(claims).where(claims.c.question_id == question_id))
             until = now + timedelta(seconds=seconds)
             connection.execute(sa.insert(claims).values(question_id=question_id, judge=judge, expires_at=until))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl
@@ -37,15 +37,20 @@ Handler = Callable[..., Any]
 """Of a request and, where something is sent, the object that was."""
 
 
-def app_of(store: Store, doors: Doors, *, hosts: list[str]) -> Starlette:
+Picture = Callable[[str], bytes]
+"""Of a run's id: a PNG."""
+
+
+def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[str, Picture] | None = None) -> Starlette:
     """The page for a store.
 
     Args:
         store: what it shows, and where answers go.
         doors: who may come in.
+        pictures: what can be drawn of a run, by name.
         hosts: names by which browsers may call it; others are refused, as a foreign site may point its name here.
     """
-    shown = Shown(store)
+    shown, drawn = Shown(store), dict(pictures or {})
     templates = Jinja2Templates(HERE / "templates")
 
     def guarded(handler: Handler) -> Callable[[Request], Awaitable[Response]]:
@@ -124,6 +129,17 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str]) -> Starlette:
         store.set_goal(run_id, words)
         return {"goal": words}
 
+    def facts(request: Request) -> Any:
+        run_id = run_of(request)
+        linked = [{"url": f"/runs/{run_id}/pictures/{name}.png", "title": name.replace("-", " ")} for name in drawn]
+        return shown.facts(run_id) | {"pictures": linked if store.episodes(run_id) else []}
+
+    def picture(request: Request) -> Response:
+        draw = drawn.get(request.path_params["name"])
+        if draw is None:
+            raise HTTPException(404, "There is no picture of this name.")
+        return Response(draw(run_of(request)), media_type="image/png")
+
     async def events(request: Request) -> Response:
         if not doors.knows(request):
             return JSONResponse({"error": "Enter first."}, 401)
@@ -176,6 +192,7 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str]) -> Starlette:
         Route("/runs/{run}", page("run")),
         Route("/runs/{run}/teach", page("teach")),
         Route("/runs/{run}/review", page("review")),
+        Route("/runs/{run}/pictures/{name}.png", guarded(picture)),
         Route(f"{api}/scene", guarded(scene)),
         Route(f"{api}/next", guarded(next_question)),
         Route(f"{api}/last", guarded(last_question)),
@@ -183,7 +200,7 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str]) -> Starlette:
         Route(f"{api}/answers", guarded(lambda request: shown.answers(run_of(request))), methods=["GET"]),
         Route(f"{api}/answers", guarded(answer), methods=["POST"]),
         Route(f"{api}/questions/{{k:int}}", guarded(one_question)),
-        Route(f"{api}/facts", guarded(lambda request: shown.facts(run_of(request)))),
+        Route(f"{api}/facts", guarded(facts)),
         Route(f"{api}/goal", guarded(goal), methods=["POST"]),
         Route(f"{api}/events", events),
         Mount("/static", StaticFiles(directory=HERE / "static")),

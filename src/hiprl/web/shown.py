@@ -89,7 +89,7 @@ class Shown:
     def facts(self, run_id: str) -> Plain:
         """What the page of a run tells."""
         row, facts = self.store.run(run_id), [facts for _, facts in self.store.episodes(run_id)]
-        weights = next((one["weights"] for one in reversed(facts) if one.get("weights")), {})
+        newest = next((one for one in reversed(facts) if one.get("weights")), {})
         return {
             "run": run_id,
             "env": row.env,
@@ -97,8 +97,9 @@ class Shown:
             "finished": self.store.final(run_id) is not None,
             "planned": planned_of(row),
             "episodes": [{name: one.get(name) for name in TOLD} for one in facts],
-            "weights": weights,
-            "pictures": [],
+            "weights": newest.get("weights", {}),
+            "judges": newest.get("judges", []),
+            "agreement": newest.get("agreement"),
         }
 
     def answers(self, run_id: str) -> list[Plain]:
