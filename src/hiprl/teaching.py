@@ -96,6 +96,8 @@ class Asking:
         """Questions that r̂ would answer otherwise than the judge did."""
         self.opinions: dict[str, Any] = {}
         """Who answered, and how often each errs, where there are several."""
+        self.trainer_waits = False
+        """Whether nothing is tried before the next answer: then no round waits for it."""
         self.stop = threading.Event()
         self.failed: BaseException | None = None
         self._seen: dict[int, Any] = {}
@@ -126,8 +128,10 @@ class Asking:
             self._seen = answered
         waiting, asked = len(questions) - len(answered), len(questions)
         before = {frozenset(question.clips) for question in questions}
-        rounds = 1 + int(np.sum(self.known.run.archive.filled)) // REHEARSALS
-        most = min(self.config.comparisons, rounds * math.ceil(self.config.comparisons / ROUNDS))
+        most = self.config.comparisons
+        if not self.trainer_waits:
+            rounds = 1 + int(np.sum(self.known.run.archive.filled)) // REHEARSALS
+            most = min(most, rounds * max(FIRST, math.ceil(most / ROUNDS)))
         while waiting < OPEN and asked < most and not self.stop.is_set():
             new = self._ask_again(asked + 1, questions) or self._ask(asked + 1, before)
             if new is None:
@@ -231,6 +235,7 @@ def taught(
                     break
                 few = heard < min(FIRST, config.comparisons)
                 pauses = few or idle >= PRACTICE or not room
+                asking.trainer_waits = pauses and not few
                 before, waits = waits, "" if not pauses else "the first answers" if few else "an answer"
                 if waits != before:
                     wait(waits)
