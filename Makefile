@@ -14,6 +14,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input -c constraints.txt
 
+PARALLEL = -n auto --maxprocesses 4 --dist loadfile
+
 DEMO = $(BIN)/hiprl train InvertedPendulum-v5 --comparisons 12 --store runs/demo.db \
     && $(BIN)/hiprl show --store runs/demo.db
 
@@ -27,7 +29,7 @@ demo: .venv/.installed
 	@echo "  or: $(BIN)/hiprl teach HalfCheetah-v5   (you compare clips in the browser, and it learns what you want)"
 
 test: .venv/.installed-dev
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow" $(PARALLEL)
 
 test-slow: .venv/.installed-dev
 	$(BIN)/python -m pytest -m slow

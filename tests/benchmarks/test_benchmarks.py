@@ -12,7 +12,7 @@ from benchmarks.roofline import Product, network
 from benchmarks.runner import Job, known, reported, run_all, seeds_of, write
 from benchmarks.table1 import solved_by
 
-PROGRAMS = ("policy_search", "roofline", "table1", "answers", "questions", "optimism", "linear", "crash")
+PROGRAMS = ("policy_search", "roofline", "table1", "answers", "questions", "optimism", "linear", "crash", "judges")
 
 
 def test_seeds_are_ranges_and_lists():
@@ -78,7 +78,7 @@ def test_each_program_explains_itself(program):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["policy_search --no-sb3 --task InvertedPendulum-v5", "roofline"])
+@pytest.mark.parametrize("command", ["policy_search --no-sb3 --task InvertedPendulum-v5", "roofline", "judges"])
 def test_each_measurement_runs(command, tmp_path):
     name, *flags = command.split()
     out = tmp_path / "out.json"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -142,9 +143,8 @@ def test_an_answer_is_changed_in_review(served: Served):
     page.goto(f"{served.home}/runs/{served.run_id}/review")
     page.click("#list button")
     page.click("#change [data-step='3']")
-    for _ in range(100):
-        if len(served.store.answers(served.run_id)) > 1:
-            break
+    until = time.monotonic() + PATIENCE / 1000
+    while len(served.store.answers(served.run_id)) < 2 and time.monotonic() < until:
         page.wait_for_timeout(100)
     assert [row.answer for row in served.store.answers(served.run_id)][1:] == [level(0, 5)]
 
@@ -165,7 +165,7 @@ def serious(page: Any) -> list[str]:
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_nobody_is_kept_out(served: Served, scheme: str):
     page = served.tab("/teach")
-    page.emulate_media(color_scheme=scheme)
+    page.emulate_media(color_scheme=scheme, reduced_motion="reduce")  # contrast is not that of half a fade
     served.press(page, "1")
     served.shown(page)
     found = {"teach": serious(page)}

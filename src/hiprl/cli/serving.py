@@ -32,6 +32,7 @@ PASSWORD = "HIPRL_PASSWORD"
 WITH_PARENT = "HIPRL_WITH_PARENT"
 """Set where the page is to end with the process that began it: when its input ends."""
 TRIED_PORTS = 20
+LOOKING = 75  # seconds that a line stays open for the next answer: a person looks at a pair for longer than a script
 
 
 def serve(command: Serve) -> Facts:
@@ -52,8 +53,8 @@ def serve(command: Serve) -> Facts:
         doors = Doors(os.environ.get(PASSWORD) or None, told=again)
         hosts = ["localhost", "127.0.0.1", "[::1]"] if loopback(host) else ["*"]
         app = app_of(store, doors, hosts=hosts, pictures=drawings(store))
-        quietly = uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=1, server_header=False)
-        server = uvicorn.Server(quietly)
+        patience = {"timeout_graceful_shutdown": 1, "timeout_keep_alive": LOOKING}
+        server = uvicorn.Server(uvicorn.Config(app, log_level="error", server_header=False, **patience))
         if os.environ.get(WITH_PARENT):
             threading.Thread(target=end_with_input, args=(server,), daemon=True).start()
         say(f"Open {address(doors.token)}")

@@ -282,6 +282,15 @@ class Store:
         with self._database.reading() as connection:
             return [QuestionRow.read(row) for row in connection.execute(query)]
 
+    def asked(self, run_id: str) -> tuple[int, int]:
+        """How many questions a run has, and how many of them are answered: counted, not read."""
+        of_run = questions.c.run_id == run_id
+        total = sa.select(sa.func.count()).select_from(questions).where(of_run)
+        answered = sa.select(sa.func.count(answers.c.question_id.distinct()))
+        answered = answered.select_from(answers.join(questions)).where(of_run)
+        with self._database.reading() as connection:
+            return connection.execute(total).scalar_one(), connection.execute(answered).scalar_one()
+
     def claim(self, run_id: str, judge: str, *, seconds: float = 60.0) -> QuestionRow | None:
         """The oldest open question of a run that nobody else is looking at; it is this judge's for a while.
 
@@ -292,24 +301,22 @@ class Store:
         with self._database.writing() as connection:
             lock_run(connection, run_id, self.name)
             free = (claims.c.question_id.is_(None)) | (claims.c.judge == judge) | (claims.c.expires_at < now)
-            mine = sa.select(questions.c.clips).join(answers).where(questions.c.run_id == run_id)
-            known = [row.clips for row in connection.execute(mine.where(answers.c.judge == judge))]
+            asked = questions.alias()
+            known = sa.select(asked.c.clips).join(answers, answers.c.question_id == asked.c.id)
+            known = known.where(asked.c.run_id == run_id, answers.c.judge == judge)
             query = (
-                sa.select(questions.c.id, questions.c.clips)
+                sa.select(questions, sa.null().label("said"))
                 .select_from(questions.outerjoin(claims).outerjoin(answers))
                 .where(questions.c.run_id == run_id, answers.c.id.is_(None), free)
-                .order_by(questions.c.k)
+                .order_by(questions.c.clips.in_(known), questions.c.k)
+                .limit(1)
             )
-            found = sorted(connection.execute(query), key=lambda row: row.clips in known)  # else oldest first
-            if not found:
+            row = connection.execute(query).one_or_none()
+            if row is None:
                 return None
-            question_id = found[0].id
-            connection.execute(sa.delete(claims).where(claims.c.question_id == question_id))
+            connection.execute(sa.delete(claims).where(claims.c.question_id == row.id))
             until = now + timedelta(seconds=seconds)
-            connection.execute(sa.insert(claims).values(question_id=question_id, judge=judge, expires_at=until))
-            row = connection.execute(
-                sa.select(questions, sa.null().label("said")).where(questions.c.id == question_id)
-            ).one()
+            connection.execute(sa.insert(claims).values(question_id=row.id, judge=judge, expires_at=until))
             return QuestionRow.read(row)
 
     def answer(self, run_id: str, k: int, answer: Answer, judge: str, *, swapped: bool = False) -> bool:

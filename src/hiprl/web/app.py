@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl
@@ -94,7 +95,7 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
     def next_question(request: Request) -> Any:
         run_id = run_of(request)
         row = store.claim(run_id, name_of(request.query_params.get("judge", "")))
-        return {"question": None if row is None else shown.question(row), "progress": shown.progress(run_id)}
+        return {"question": None if row is None else shown.question(row), "progress": shown.lately(run_id, seconds=0.0)}
 
     def last_question(request: Request) -> Any:
         run_id, judge = run_of(request), name_of(request.query_params.get("judge", ""))
@@ -119,7 +120,7 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
             raise HTTPException(400, "An answer has k, judge, swapped and answer.")
         given = turned(Answer.read(said), swapped)
         new = store.answer(run_id, k, given, judge, swapped=swapped)
-        return {"new": new, "progress": shown.progress(run_id)}
+        return {"new": new, "progress": shown.lately(run_id, seconds=0.0)}
 
     def goal(request: Request, body: dict[str, Any]) -> Any:
         run_id, words = run_of(request), body.get("goal")
@@ -148,7 +149,7 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
         async def news() -> AsyncIterator[str]:
             before, silent = None, 0.0
             while not await request.is_disconnected():
-                told = await run_in_threadpool(shown.progress, run_id)
+                told = await run_in_threadpool(partial(shown.lately, run_id, seconds=LOOK / 2))
                 if told != before:
                     before, silent = told, 0.0
                     yield f"event: progress\ndata: {json.dumps(told)}\n\n"

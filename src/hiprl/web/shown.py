@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import base64
+import math
 import secrets
+import threading
+import time
 from functools import lru_cache
 from typing import Any
 
@@ -29,6 +32,8 @@ class Shown:
     def __init__(self, store: Store):
         self.store = store
         self._film = lru_cache(maxsize=128)(self._read_film)
+        self._lock = threading.Lock()
+        self._told: dict[str, tuple[float, Plain]] = {}
 
     def _read_film(self, run_id: str, number: int) -> Film | np.ndarray:
         film = self.store.film(run_id, number)
@@ -65,14 +70,13 @@ class Shown:
     def progress(self, run_id: str) -> Plain:
         """How far a run is."""
         row, facts = self.store.run(run_id), [facts for _, facts in self.store.episodes(run_id)]
-        questions = self.store.questions(run_id)
-        answers = sum(question.answer is not None for question in questions)
+        asked, answers = self.store.asked(run_id)
         foreseen = [one["foreseen"] for one in facts if one.get("foreseen") is not None][-RECENT:]
         worth = [one["worth"] for one in facts if one.get("worth") is not None]
         planned = planned_of(row)
         done = self.store.final(run_id) is not None
         searched = any(one.get("searched") for one in facts)
-        waiting = len(questions) - answers
+        waiting = asked - answers
         state = "finished" if done else "waiting" if waiting else "learning" if searched or answers else "warming up"
         return {
             "answers": answers,
@@ -85,6 +89,15 @@ class Shown:
             "state": state,
             "goal": self.store.goal(run_id),
         }
+
+    def lately(self, run_id: str, *, seconds: float) -> Plain:
+        """`progress`, or what another page was told of it less than so many seconds ago: many may be listening."""
+        with self._lock:  # the others wait for one, and need not ask again
+            at, told = self._told.get(run_id, (-math.inf, {}))
+            if time.monotonic() - at > seconds:
+                told = self.progress(run_id)
+                self._told[run_id] = time.monotonic(), told
+            return told
 
     def facts(self, run_id: str) -> Plain:
         """What the page of a run tells."""
