@@ -49,7 +49,7 @@ class Config:
     """Begin each search at the executed policy that r̂ ranks best; False: at the newest one (the paper)."""
     practice: int = 0
     """Episodes after each answer that nobody is asked about. They cost steps and time, and no answers."""
-    confirmations: int = 5
+    confirmations: int = 20
     """Episodes after the last answer in which what r̂ ranks best is executed again, so that luck does not win."""
     dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
     """The model of the world."""

@@ -7,7 +7,7 @@ import pytest
 from hiprl.data.answer import choice, level, ranking
 from hiprl.data.preference import Kind, Said
 from hiprl.models.likelihood import Noise, for_each, log_likelihood
-from hiprl.models.variational import approximate
+from hiprl.models.variational import Answers, improved, posterior_of, unknown
 
 D, ROWS, KAPPA = 3, 11, 0.4
 
@@ -30,10 +30,15 @@ def weights(Psi, mode):
     return A.T @ np.asarray(mode.dual, float), np.eye(A.shape[1]) - RA.T @ RA
 
 
+def belief_after(K, given, *, steps):
+    return posterior_of(K, given, improved(K, given, unknown(K, ROWS), steps=steps))
+
+
 def solved(Psi, told, how, *, steps=20, filled=None):
     A = jnp.asarray(Psi, jnp.float32).reshape(-1, Psi.shape[-1])
     filled = jnp.ones(len(Psi), bool) if filled is None else filled
-    return jax.jit(approximate, static_argnames="steps")(A @ A.T, told, filled, how, steps=steps)
+    given = Answers(told, filled, how)
+    return jax.jit(belief_after, static_argnames="steps")(A @ A.T, given, steps=steps)
 
 
 def sampled(Psi, told, how):

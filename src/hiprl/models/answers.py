@@ -7,9 +7,8 @@ and these units are found in turn. Numbers are in the judge's own unit, which do
 
 from __future__ import annotations
 
-import itertools
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -21,13 +20,13 @@ from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.features import AdditiveFeatures
 from hiprl.models.likelihood import Noise, for_each, responsibility
 from hiprl.models.reward import AdditiveReward, additive_reward, evidence, most_steps, summed
-from hiprl.models.variational import Posterior, approximate
+from hiprl.models.variational import Answers, Belief, evidence_of, improved, posterior_of, unknown
 from hiprl.types import Count, Scalar
 
 JUDGES = 16
 """Judges whose mistakes are told apart; further ones count as the last."""
 ROUNDS = 3  # of finding units and mistakes for the reward, and the reward for these
-NEWTON, POLISH = 8, 20  # Newton steps for each candidate, and for the one that is kept
+NEWTON, POLISH = 4, 10  # Newton steps for each candidate, and for the one that is kept
 STARTS = 32  # clips of a trajectory over which its spread is taken
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)  # candidates for the size of a typical difference, where a whole scale is 1
 SURENESS = 2.0  # factor by which a typical difference may well be another size than a whole scale
@@ -64,12 +63,15 @@ class Problem(NamedTuple):
     """What a number is divided by, for each of these."""
 
 
-class Candidate(NamedTuple):
-    """One choice of the scales."""
+At: TypeAlias = Int[Array, "3"]
+"""Which candidate for the scale, for the prior, and for κ."""
 
-    prior: Int[Array, "..."]
-    scale: Float[Array, "..."]
-    kappa: Float[Array, "..."]
+
+class Found(NamedTuple):
+    """The best so far."""
+
+    at: At
+    belief: Belief
 
 
 def estimate_from_answers(
@@ -92,13 +94,13 @@ def estimate_from_answers(
         Psi = _with_ratings(features, T, P, Psi)
     levels = P.filled & (P.said.kind != Kind.NUMBER) & jnp.isfinite(P.said.low) & jnp.isfinite(P.said.high)
     kappas = KAPPAS if bool(jnp.any(levels & (P.said.kind != Kind.RANKING))) else (KAPPA,)
-    grid = tuple(itertools.product(range(len(smooth)), SCALES, kappas))
     priors = jax.vmap(features.prior)(jnp.ones(len(smooth)), jnp.asarray(smooth))
     with jax.enable_x64(True):
         wide = lambda x: jnp.asarray(x, jnp.float64)
         said = Said(P.said.kind, wide(P.said.low), wide(P.said.high), P.said.items)
         problem = _problem(wide(Psi), said, P.filled, P.judge, wide(priors))
-        posterior, errors = _posterior(problem, features, T, P, grid=grid, smooth=smooth, learn_mistakes=learn_mistakes)
+        more = {"smooth": smooth, "kappas": kappas, "learn_mistakes": learn_mistakes}
+        posterior, errors = _posterior(problem, features, T, P, **more)
         posterior, errors = jax.tree.map(lambda x: x.astype(jnp.float32), (posterior, errors))
     return additive_reward(T, features, *posterior, errors.scale, errors.kappa), errors
 
@@ -161,70 +163,88 @@ def units(features: AdditiveFeatures, mean: Float[Array, " D"], T: Trajectories,
     return jnp.where(newest > 0, jnp.maximum(found / newest, LEAST_UNIT), 1.0)
 
 
-@partial(jax.jit, static_argnames=("grid", "smooth", "learn_mistakes"))
+@partial(jax.jit, static_argnames=("smooth", "kappas", "learn_mistakes"))
 def _posterior(
-    problem: Problem, features: AdditiveFeatures, T: Trajectories, P: Preferences, *, grid, smooth, learn_mistakes
+    problem: Problem, features: AdditiveFeatures, T: Trajectories, P: Preferences, *, smooth, kappas, learn_mistakes
 ):
-    """Mean, prior variance and root of θ for the best candidate, and how the judges err."""
+    """Mean, prior variance and root of θ for the best scales, and how the judges err.
+
+    The scales are found one after the other, each along all its candidates with the others as they are; each search
+    goes on from the belief of the one before, so that a few of Newton's steps do.
+    """
     Psi, said, filled, judge, priors, number_unit = problem
     K, J, D = Psi.shape
-    candidates = Candidate(*(jnp.asarray(column) for column in zip(*grid, strict=True)))
     number = said.kind == Kind.NUMBER
     judge = jnp.minimum(judge, JUDGES - 1)
     rated = filled & (said.kind == Kind.RATING)
-    one = lambda x: jnp.asarray(x, Psi.dtype)
+    told = filled & ~number
+    values = [jnp.asarray(x, Psi.dtype) for x in (SCALES, smooth, kappas)]
+    sizes = jnp.asarray([len(x) for x in values])
+    axes = jnp.asarray([i for i, x in enumerate(values) if len(x) > 1])
+    bent = BENT * jnp.log10(values[1] / min(smooth))
 
     flat = Psi.reshape(K * J, D)
     grams = jax.vmap(lambda prior: (flat * prior[None]) @ flat.T)(priors)
+    first = jnp.zeros((K, J)).at[:, 0].set(jnp.where(rated, 1.0, 0.0)).reshape(-1)
+    offset = OFFSET * jnp.outer(first, first)
 
-    def seen(candidate: Candidate, unit: Float[Array, " K"]):
-        """What puts each row of Ψ into the unit of its answer, the answers with numbers in theirs, and that unit."""
-        weight = jnp.where(number, 1.0, candidate.scale / unit)
-        A = number_unit[candidate.prior]
+    def weights(at: At, unit: Float[Array, " K"]):
+        """What puts each row of Ψ into the unit of its answer."""
+        return jnp.repeat(jnp.where(number, 1.0, values[0][at[0]] / unit), J)
+
+    def seen(at: At, unit: Float[Array, " K"], mistakes: Float[Array, " judges"]) -> tuple[Array, Answers]:
+        """Prior covariance of the values, and the answers in their units."""
+        weight, A = weights(at, unit), number_unit[at[1]]
         scaled = Said(said.kind, jnp.where(number, said.low / A, said.low), said.high, said.items)
-        return jnp.repeat(weight, J), scaled, A
+        noise = Noise(values[2][at[2]], jnp.asarray(NUMBER_ERROR, Psi.dtype), mistakes[judge])
+        return grams[at[1]] * jnp.outer(weight, weight) + offset, Answers(scaled, filled, noise)
 
-    def solve(candidate: Candidate, unit, mistakes, *, steps: int) -> Posterior:
-        weight, scaled, A = seen(candidate, unit)
-        noise = Noise(candidate.kappa, one(NUMBER_ERROR), mistakes[judge])
-        first = jnp.zeros((K, J)).at[:, 0].set(jnp.where(rated, 1.0, 0.0)).reshape(-1)
-        prior = grams[candidate.prior] * jnp.outer(weight, weight) + OFFSET * jnp.outer(first, first)
-        found = approximate(prior, scaled, filled, noise, steps=steps)
-        return found._replace(evidence=found.evidence - jnp.sum(filled & number) * jnp.log(A))
+    def carried(belief: Belief, before: Array, now: Array) -> Belief:
+        """The same belief about θ, in other units."""
+        return belief._replace(dual=belief.dual * (before / now) ** 2)
 
-    def mean_of(candidate: Candidate, unit, belief: Posterior):
-        weight, _, A = seen(candidate, unit)
-        return A * priors[candidate.prior] * (flat.T @ (weight * belief.dual))
+    def along(unit, mistakes, found: Found, axis: Count) -> tuple[Found, None]:
+        """The best candidate along one axis."""
 
-    def erring(candidate: Candidate, unit, belief: Posterior, mistakes):
+        def tried(i: Count):
+            at = found.at.at[axis].set(jnp.minimum(i, sizes[axis] - 1))
+            K_at, given = seen(at, unit, mistakes)
+            belief = carried(found.belief, weights(found.at, unit), weights(at, unit))
+            belief = improved(K_at, given, belief, steps=NEWTON)
+            score = evidence_of(K_at, given, belief) - jnp.sum(filled & number) * jnp.log(number_unit[at[1]])
+            score += -0.5 * (jnp.log(values[0][at[0]]) / jnp.log(SURENESS)) ** 2 - bent[at[1]]
+            return Found(at, belief), jnp.where(jnp.isfinite(score), score, -jnp.inf)
+
+        line, scores = jax.vmap(tried)(jnp.arange(max(len(x) for x in values)))
+        return jax.tree.map(lambda x: x[jnp.argmax(scores)], line), None
+
+    def erring(found: Found, unit, mistakes):
         if not learn_mistakes:
             return mistakes
-        _, scaled, _ = seen(candidate, unit)
-        noise = Noise(candidate.kappa, one(NUMBER_ERROR), mistakes[judge])
-        wrong = for_each(responsibility, belief.f.reshape(K, J), scaled, noise)
-        told = filled & ~number
+        K_at, given = seen(found.at, unit, mistakes)
+        wrong = for_each(responsibility, (K_at @ found.belief.dual).reshape(K, J), given.said, given.noise)
         total = jnp.zeros(JUDGES).at[judge].add(jnp.where(told, wrong, 0.0))
         count = jnp.zeros(JUDGES).at[judge].add(jnp.where(told, 1.0, 0.0))
         return (total + MISTAKE * TRUST) / (count + TRUST)
 
-    def one_round(carry, _):
-        unit, mistakes, _ = carry
-        beliefs = jax.vmap(lambda candidate: solve(candidate, unit, mistakes, steps=NEWTON))(candidates)
-        score = beliefs.evidence + log_prior
-        best = jnp.argmax(jnp.where(jnp.isfinite(score), score, -jnp.inf))
-        belief, candidate = jax.tree.map(lambda x: x[best], (beliefs, candidates))
-        mean = mean_of(candidate, unit, belief).astype(jnp.float32)
-        mistakes = erring(candidate, unit, belief, mistakes)
-        return (units(features, mean, T, P).astype(Psi.dtype), mistakes, best), None
+    def mean_of(found: Found, unit):
+        at = found.at
+        return number_unit[at[1]] * priors[at[1]] * (flat.T @ (weights(at, unit) * found.belief.dual))
 
-    bent = jnp.log10(jnp.asarray(smooth) / min(smooth))[candidates.prior]
-    log_prior = -0.5 * (jnp.log(candidates.scale) / jnp.log(SURENESS)) ** 2 - BENT * bent
-    start = jnp.ones(K), jnp.full(JUDGES, MISTAKE), jnp.zeros((), int)
-    (unit, mistakes, best), _ = jax.lax.scan(one_round, start, length=ROUNDS)
-    candidate = jax.tree.map(lambda x: x[best], candidates)
-    belief = solve(candidate, unit, mistakes, steps=POLISH)
-    weight, _, A = seen(candidate, unit)
-    prior = priors[candidate.prior]
-    root = A * ((belief.root * weight[None]) @ flat) * prior[None]
-    errors = Errors(candidate.kappa, erring(candidate, unit, belief, mistakes), candidate.scale / A)
-    return (mean_of(candidate, unit, belief), A**2 * prior, root), errors
+    def one_round(carry, _):
+        unit, mistakes, found = carry
+        found, _ = jax.lax.scan(partial(along, unit, mistakes), found, axes)
+        now = units(features, mean_of(found, unit).astype(jnp.float32), T, P).astype(Psi.dtype)
+        belief = carried(found.belief, weights(found.at, unit), weights(found.at, now))
+        return (now, erring(found, unit, mistakes), Found(found.at, belief)), None
+
+    at = jnp.asarray([len(x) // 2 for x in values])
+    unit, mistakes = jnp.ones(K), jnp.full(JUDGES, MISTAKE)
+    start = Found(at, unknown(seen(at, unit, mistakes)[0], K))
+    (unit, mistakes, found), _ = jax.lax.scan(one_round, (unit, mistakes, start), length=ROUNDS)
+    K_at, given = seen(found.at, unit, mistakes)
+    found = Found(found.at, improved(K_at, given, found.belief, steps=POLISH))
+    A, prior, weight = number_unit[found.at[1]], priors[found.at[1]], weights(found.at, unit)
+    root = A * ((posterior_of(K_at, given, found.belief).root * weight[None]) @ flat) * prior[None]
+    errors = Errors(given.noise.kappa, erring(found, unit, mistakes), values[0][found.at[0]] / A)
+    return (mean_of(found, unit), A**2 * prior, root), errors
