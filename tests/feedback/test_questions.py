@@ -10,6 +10,7 @@ from scipy import integrate, stats
 from hiprl.data.answer import choice
 from hiprl.data.preference import Clip, Preferences
 from hiprl.errors import InputError
+from hiprl.feedback import questions
 from hiprl.feedback.questions import QuestionConfig, expected_information, information, pick_clips
 from hiprl.models.answers import estimate_from_answers
 from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
@@ -72,6 +73,14 @@ def test_the_question_picked_is_worth_most(T, reward):
     others = Clip(jnp.asarray(of), jnp.asarray(start), jnp.full((200, 2), STEPS))
     best = float(worth(jax.tree.map(lambda x: x[None], picked))[0])
     assert best > np.quantile(np.asarray(worth(others)), 0.8)
+
+
+def test_differences_are_the_same_however_they_are_summed(T, reward, monkeypatch):
+    clips = questions.drawn(T, TELLING, key=jr.key(4))
+    assert T.capacity * H <= clips.of.size * STEPS
+    by_prefix = questions.differences(T, reward.features, clips, TELLING)
+    monkeypatch.setattr(questions, "LARGEST", 0)
+    np.testing.assert_allclose(questions.differences(T, reward.features, clips, TELLING), by_prefix, atol=1e-3)
 
 
 def test_a_clip_is_never_compared_with_itself(T, reward):

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hiprl.data.preference import WHOLE, Clip
+from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import InputError
 from hiprl.models.features import AdditiveFeatures
@@ -22,6 +23,7 @@ from hiprl.types import Count, Key, Scalar
 Pick: TypeAlias = Literal["uniform", "information"]
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
 """Of the expectation over a standard normal."""
+LARGEST = 1 << 18  # steps whose features may lie side by side: 160 MB for a HalfCheetah
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,6 +156,10 @@ def differences(
     if config.clip is None or config.clip >= H:
         Phi = jax.vmap(lambda i: clip_sum(features, T, Clip.whole(i), H))(jnp.arange(T.capacity))
         sums = Phi[clips.of]
+    elif T.capacity * H <= min(clips.of.size * config.clip, LARGEST):  # then each step's features are made once
+        C = prefix_sums(features, T)
+        end = jnp.minimum(clips.start + clips.length, T.rows.length[clips.of])
+        sums = C[clips.of, jnp.maximum(end, clips.start)] - C[clips.of, clips.start]
     else:
         steps = config.clip
         one = lambda clip: clip_sum(features, T, clip, steps)
@@ -164,6 +170,17 @@ def differences(
         n = jnp.minimum(clips.length, T.rows.length[clips.of] - clips.start)
         return sums.at[..., 0].add(-n.astype(sums.dtype))  # the bias says nothing of a clip beside the average one
     return sums[:, :-1] - sums[:, -1:]
+
+
+def prefix_sums(features: AdditiveFeatures, T: Trajectories) -> Float[Array, "N H_plus_1 D"]:
+    """Sum of φ over the steps of each trajectory before each step."""
+
+    def one(tau: Trajectory) -> Float[Array, "H_plus_1 D"]:
+        rows = tau.transitions()
+        phi = jnp.where(rows.mask[:, None], jax.vmap(features)(rows.s, rows.a), 0.0)
+        return jnp.pad(jnp.cumsum(phi, axis=0), ((1, 0), (0, 0)))
+
+    return jax.lax.map(one, T.rows)
 
 
 def _distinct(clips: Clip, worth: Float[Array, " n"]) -> Float[Array, " n"]:
