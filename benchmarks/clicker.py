@@ -1,4 +1,4 @@
-"""A scripted person at the real page: a browser, eyes on the clips' bodies alone, and keys.
+"""A scripted person at the real page: a browser, eyes on the clips alone, and keys.
 
 Needs Playwright (in hiprl's extra `dev`) and a Chromium of the system.
 """
@@ -83,15 +83,15 @@ def chromium() -> Iterator[Any]:
 class Person:
     """Looks at what the page was sent about each pair, and answers with the keys of the page."""
 
-    def __init__(self, page: Any, better: Callable[[np.ndarray], float], *, bodies: int):
+    def __init__(self, page: Any, better: Callable[[np.ndarray], float], *, frame: tuple[int, ...]):
         """Who wants something.
 
         Args:
             page: the browser's.
-            better: a number for the poses (frames, bodies, 7) of a clip; more is more what is wanted.
-            bodies: of the model.
+            better: a number for the frames of a clip; more is more what is wanted.
+            frame: shape of one: (bodies, 7) poses, or (p,) states where no bodies are to be seen.
         """
-        self.page, self.better, self.bodies = page, better, bodies
+        self.page, self.better, self.frame = page, better, frame
         self.worths: list[float] = []
         """Of all clips seen so far: what is much is judged by what there is."""
         self.shown: dict | None = None
@@ -105,7 +105,8 @@ class Person:
 
     def worth(self, clip: dict) -> float:
         """How good a clip is."""
-        return self.better(np.frombuffer(base64.b64decode(clip["poses"]), "<f4").reshape(-1, self.bodies, 7))
+        sent = clip["poses"] if "poses" in clip else clip["states"]
+        return self.better(np.frombuffer(base64.b64decode(sent), "<f4").reshape(-1, *self.frame))
 
     def key(self) -> str:
         """One of five levels, from 1 the left much better to 5 the right."""

@@ -1,8 +1,9 @@
 """Behaviours taught through the page: `hiprl teach`, a real browser, and a scripted person who sees the bodies alone.
 
-The person presses one of five keys for each pair of clips, by where the bodies were, and knows no reward. What was
-learned is then measured in the world: for the tasks with a reward that wants the same by that, for the others by the
-speed of the body. Needs Playwright (in hiprl's extra `dev`) and a Chromium of the system.
+The person presses one of five keys for each pair of clips, by where the bodies were (by the states, where no body is
+drawn), and knows no reward. What was learned is then measured in the world: for the tasks with a reward that wants the
+same by that, for the others by what the person sees. Needs Playwright (in hiprl's extra `dev`) and a Chromium of the
+system.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 
 from benchmarks.clicker import Person, chromium, started
@@ -27,7 +29,10 @@ class Wish(NamedTuple):
     env: str
     words: str
     better: Callable[[np.ndarray], float]
-    bodies: int
+    frame: tuple[int, ...]
+    """Shape of what is seen at one moment: (bodies, 7) poses, or (p,) states where no bodies are."""
+    horizon: int | None = None
+    """Steps of an episode, where the environment does not say."""
 
 
 def upright(poses: np.ndarray) -> float:
@@ -46,11 +51,37 @@ def hopping(poses: np.ndarray) -> float:
     return float(poses[-1, 1, 0] - poses[0, 1, 0]) + len(poses) / 50
 
 
+def near_the_post(states: np.ndarray) -> float:
+    """How close the cart is to the post, over the clip."""
+    return -float(np.mean(np.abs(states[:, 0] - 1.0)))
+
+
+class Cart(gym.Env):
+    """An environment of one's own: a cart on a line, pushed. It pays nothing and never ends."""
+
+    observation_space = gym.spaces.Box(-np.inf, np.inf, (2,))
+    action_space = gym.spaces.Box(-1.0, 1.0, (1,))
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[np.ndarray, dict]:
+        """Somewhere left of the post, at rest."""
+        super().reset(seed=seed)
+        self.x, self.v = self.np_random.uniform(-2.0, 0.0), 0.0
+        return np.array([self.x, self.v]), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, None, bool, bool, dict]:
+        """A twentieth of a second."""
+        self.v += 0.05 * (2.0 * float(action[0]) - 0.2 * self.v)
+        self.x += 0.05 * self.v
+        return np.array([self.x, self.v]), None, False, False, {}
+
+
 WISHES = {
-    "balance": Wish("InvertedPendulum-v5", "keep the pole upright", upright, 3),
-    "forward": Wish("HalfCheetah-v5", "run forwards", along(1.0), 8),
-    "backward": Wish("HalfCheetah-v5", "run backwards", along(-1.0), 8),
-    "hop": Wish("Hopper-v5", "hop forwards without falling", hopping, 5),
+    "balance": Wish("InvertedPendulum-v5", "keep the pole upright", upright, (3, 7)),
+    "forward": Wish("HalfCheetah-v5", "run forwards", along(1.0), (8, 7)),
+    "backward": Wish("HalfCheetah-v5", "run backwards", along(-1.0), (8, 7)),
+    "hop": Wish("Hopper-v5", "hop forwards without falling", hopping, (5, 7)),
+    "swing": Wish("Pendulum-v1", "swing up and stay up", lambda states: float(np.mean(states[:, 0])), (3,)),
+    "post": Wish("benchmarks.taught:Cart", "go to the post at 1 and stay there", near_the_post, (2,), 100),
 }
 
 
@@ -60,9 +91,10 @@ def taught(wish: Wish, *, answers: int, seed: int, store: str) -> dict[str, Any]
 
     began = time.monotonic()
     words = ["teach", wish.env, "--goal", wish.words, "--comparisons", str(answers), "--seed", str(seed)]
+    words += [] if wish.horizon is None else ["--horizon", str(wish.horizon)]
     with started(*words, "--store", store, "--port", "8700", "--no-browser") as trainer, chromium() as browser:
         page = browser.new_page()
-        person = Person(page, wish.better, bodies=wish.bodies)
+        person = Person(page, wish.better, frame=wish.frame)
         page.goto(trainer.address)
         page.wait_for_selector("#setup[open], #answers:not([hidden])", timeout=120_000)
         if page.locator("#setup[open]").count():
@@ -98,12 +130,12 @@ def by_person(wish: Wish, store: str, run: str) -> float:
     from hiprl.world.build import world_from
 
     learned = hiprl.load(run, store=store)
-    world = world_from(wish.env)
+    world = world_from(wish.env, horizon=wish.horizon)
     world.start_filming()
-    world.roll_out(learned.actor, key=jr.key(12345))
+    tau = world.roll_out(learned.actor, key=jr.key(12345)).seen()
     film = world.film
-    assert film is not None and film.poses is not None
-    clips = [film.poses[t : t + 51] for t in range(0, len(film.poses) - 1, 50)]
+    frames = tau.states if film is None or film.poses is None else film.poses
+    clips = [frames[t : t + 51] for t in range(0, len(frames) - 1, 50)]
     return float(np.mean([wish.better(clip) for clip in clips]))
 
 
@@ -130,8 +162,9 @@ def main() -> None:
             found = taught(WISHES[name], answers=options.answers, seed=seed, store=str(store))
             report.add(wish=name, env=WISHES[name].env, seed=seed, **found)
     report.notes.append(
-        "by_person: what the person makes of 50 steps of the learned policy (balance: 1 is upright all the time; "
-        "forward and backward: m/s). wait_95: seconds from an answer to the next pair, 95th percentile."
+        "by_person: what the person makes of 50 steps of the learned policy (balance, swing: 1 is upright all along; "
+        "forward and backward: m/s; post: minus the metres from it). wait_95: seconds from an answer to the next pair, "
+        "95th percentile."
     )
     report.show()
     report.write(options.json)
