@@ -30,7 +30,7 @@ def worth(T: Trajectories, reward: AdditiveReward, config: QuestionConfig, *, ke
     """Expected gain by the answer to the best question, over what the best behaviour in sight exceeds the average one.
 
     0 says that no answer is expected to change what is wanted; 0.1 that what is then done is better by a tenth of what
-    is to be had. NaN for questions about more than two clips.
+    is to be had; 1, which is the most, that nearly nothing is known yet. NaN for questions about more than two clips.
 
     Args:
         T: the trajectories.
@@ -59,7 +59,7 @@ def worth(T: Trajectories, reward: AdditiveReward, config: QuestionConfig, *, ke
     now = jnp.max(jnp.where(there, returns, -jnp.inf))
     gain = jnp.max(jnp.sum(chance * best, axis=1) - now)
     mean = jnp.sum(jnp.where(there, returns, 0.0)) / jnp.maximum(jnp.sum(there), 1)
-    return jnp.maximum(gain, 0.0) / jnp.maximum(now - mean, 1e-12)
+    return jnp.clip(gain / jnp.maximum(now - mean, 1e-12), 0.0, 1.0)
 
 
 def seen(T: Trajectories, reward: AdditiveReward) -> tuple[Float[Array, "n D"], Bool[Array, " n"]]:
