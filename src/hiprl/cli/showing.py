@@ -164,7 +164,7 @@ def table_of_numbers(run: Record, facts: Facts) -> Table:
         "α, times σ of an answer": known(facts["alpha"]),
         "worth of the next answer": "-"
         if facts["worth"] is None
-        else f"{100 * facts['worth']:.2g} % of what was learned",
+        else f"{100 * facts['worth']:.3g} % of what was learned",
         **(words_of(facts) if "held_out_accuracy" in facts else {}),
         "dynamics, one-step error": f"{known(facts['deviation'])} in units of the state",
         "dynamics, h-step error": ", ".join(f"{h}: {known(x)}" for h, x in facts["rollout_errors"].items()) or "-",

@@ -6,7 +6,7 @@ import re
 import secrets
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,6 @@ from hiprl.store.rows import AnswerRow, ClipRow, Executed, Kind, QuestionRow, Ru
 from hiprl.store.schema import (
     answers,
     checkpoints,
-    claims,
     episodes,
     finals,
     goals,
@@ -40,6 +39,7 @@ from hiprl.store.schema import (
     scenes,
     trajectories,
 )
+from hiprl.store.turns import taken
 
 _LONGEST = 2**63 - 1  # of an integer in either database
 
@@ -297,27 +297,9 @@ class Store:
         None if there is none. Two judges are never asked the same at the same time. What this judge has answered
         before is asked only if there is nothing else: it waits for another judge.
         """
-        now = datetime.now(UTC)
         with self._database.writing() as connection:
             lock_run(connection, run_id, self.name)
-            free = (claims.c.question_id.is_(None)) | (claims.c.judge == judge) | (claims.c.expires_at < now)
-            asked = questions.alias()
-            known = sa.select(asked.c.clips).join(answers, answers.c.question_id == asked.c.id)
-            known = known.where(asked.c.run_id == run_id, answers.c.judge == judge)
-            query = (
-                sa.select(questions, sa.null().label("said"))
-                .select_from(questions.outerjoin(claims).outerjoin(answers))
-                .where(questions.c.run_id == run_id, answers.c.id.is_(None), free)
-                .order_by(questions.c.clips.in_(known), questions.c.k)
-                .limit(1)
-            )
-            row = connection.execute(query).one_or_none()
-            if row is None:
-                return None
-            connection.execute(sa.delete(claims).where(claims.c.question_id == row.id))
-            until = now + timedelta(seconds=seconds)
-            connection.execute(sa.insert(claims).values(question_id=row.id, judge=judge, expires_at=until))
-            return QuestionRow.read(row)
+            return taken(connection, run_id, judge, seconds=seconds)
 
     def answer(self, run_id: str, k: int, answer: Answer, judge: str, *, swapped: bool = False) -> bool:
         """Keep an answer to episode k's question; it replaces earlier ones, which stay to be seen.

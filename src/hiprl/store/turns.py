@@ -1,0 +1,36 @@
+"""Whose turn a question is: no two judges look at the same one at the same time."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import sqlalchemy as sa
+
+from hiprl.store.rows import QuestionRow
+from hiprl.store.schema import answers, claims, questions
+
+
+def taken(connection: sa.Connection, run_id: str, judge: str, *, seconds: float) -> QuestionRow | None:
+    """The oldest open question that nobody else looks at; it is this judge's for so long. The run is locked before.
+
+    What this judge has answered before comes last: it waits for another judge.
+    """
+    now = datetime.now(UTC)
+    free = (claims.c.question_id.is_(None)) | (claims.c.judge == judge) | (claims.c.expires_at < now)
+    asked = questions.alias()
+    known = sa.select(asked.c.clips).join(answers, answers.c.question_id == asked.c.id)
+    known = known.where(asked.c.run_id == run_id, answers.c.judge == judge)
+    query = (
+        sa.select(questions, sa.null().label("said"))
+        .select_from(questions.outerjoin(claims).outerjoin(answers))
+        .where(questions.c.run_id == run_id, answers.c.id.is_(None), free)
+        .order_by(questions.c.clips.in_(known), questions.c.k)
+        .limit(1)
+    )
+    row = connection.execute(query).one_or_none()
+    if row is None:
+        return None
+    connection.execute(sa.delete(claims).where(claims.c.question_id == row.id))
+    until = now + timedelta(seconds=seconds)
+    connection.execute(sa.insert(claims).values(question_id=row.id, judge=judge, expires_at=until))
+    return QuestionRow.read(row)
