@@ -53,8 +53,13 @@ def serve(command: Serve) -> Facts:
         doors = Doors(os.environ.get(PASSWORD) or None, told=again)
         hosts = ["localhost", "127.0.0.1", "[::1]"] if loopback(host) else ["*"]
         app = app_of(store, doors, hosts=hosts, pictures=drawings(store))
-        quietly = uvicorn.Config(app, log_level="error", server_header=False, timeout_keep_alive=LOOKING)
-        quietly.timeout_graceful_shutdown = 1
+        quietly = uvicorn.Config(
+            app,
+            log_level="error",
+            server_header=False,
+            timeout_keep_alive=LOOKING,
+            timeout_graceful_shutdown=1,
+        )
         server = uvicorn.Server(quietly)
         if os.environ.get(WITH_PARENT):
             threading.Thread(target=end_with_input, args=(server,), daemon=True).start()
