@@ -1,13 +1,16 @@
+import itertools
+
 import emcee
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import stats
 
 from hiprl.data.answer import choice, level, ranking
 from hiprl.data.preference import Kind, Said
 from hiprl.models.likelihood import Noise, for_each, log_likelihood
-from hiprl.models.variational import Answers, improved, posterior_of, unknown
+from hiprl.models.variational import Answers, evidence_of, improved, one_value, posterior_of, thin, unknown
 
 D, ROWS, KAPPA = 3, 11, 0.4
 
@@ -30,15 +33,15 @@ def weights(Psi, mode):
     return A.T @ np.asarray(mode.dual, float), np.eye(A.shape[1]) - RA.T @ RA
 
 
-def belief_after(K, given, *, steps):
-    return posterior_of(K, given, improved(K, given, unknown(K, ROWS), steps=steps))
+def belief_after(A, given, *, steps):
+    return posterior_of(A, given, improved(A, given, unknown(A, ROWS), steps=steps))
 
 
 def solved(Psi, told, how, *, steps=20, filled=None):
     A = jnp.asarray(Psi, jnp.float32).reshape(-1, Psi.shape[-1])
     filled = jnp.ones(len(Psi), bool) if filled is None else filled
     given = Answers(told, filled, how)
-    return jax.jit(belief_after, static_argnames="steps")(A @ A.T, given, steps=steps)
+    return jax.jit(belief_after, static_argnames="steps")(A, given, steps=steps)
 
 
 def sampled(Psi, told, how):
@@ -132,3 +135,65 @@ def test_more_answers_leave_less_unknown():
     Psi, told = compared("choice")
     few, many = (weights(Psi, solved(Psi, told, noise(), filled=jnp.arange(ROWS) < n))[1] for n in (3, ROWS))
     assert np.trace(many) < np.trace(few) < D
+
+
+def test_a_thin_factor_leaves_out_less_the_more_columns_it_has():
+    A = np.random.default_rng(4).normal(size=(13, 7)) * 0.3 ** np.arange(7)
+    K = A @ A.T
+    left = [np.diag(K) - np.sum(np.asarray(thin(jnp.float32(K), rank)) ** 2, axis=1) for rank in (2, 3, 5, 7)]
+    assert all((more >= less - 1e-6).all() for more, less in itertools.pairwise(left))
+    assert (left[1] / np.diag(K)).max() > 1e-3
+    whole = np.asarray(thin(jnp.float32(K), 11))  # more columns than there is to know
+    np.testing.assert_allclose(whole @ whole.T, K, atol=1e-4 * np.diag(K).max())
+
+
+def test_a_thin_factor_serves_small_values_as_well_as_large_ones():
+    A = np.random.default_rng(5).normal(size=(13, 3)) * np.where(np.arange(13) < 6, 1.0, 1e-3)[:, None]
+    K = A @ A.T
+    kept = np.asarray(thin(jnp.float32(K), 3))
+    np.testing.assert_allclose(np.sum(kept**2, axis=1), np.diag(K), rtol=1e-3)
+
+
+def test_values_without_prior_variance_stay_known():
+    K = np.diag([1.0, 0.0, 2.0])
+    kept = np.asarray(thin(jnp.float32(K), 3))
+    np.testing.assert_allclose(kept @ kept.T, K, atol=1e-6)
+
+
+def test_the_evidence_of_numbers_is_their_density():
+    rng = np.random.default_rng(6)
+    Psi, g = rng.normal(size=(ROWS, D)), rng.normal(size=ROWS)
+    g_32 = jnp.asarray(g, jnp.float32)
+    told = Said(jnp.full(ROWS, int(Kind.NUMBER)), g_32, g_32, jnp.full(ROWS, 2))
+    A, given = jnp.asarray(Psi, jnp.float32), Answers(told, jnp.ones(ROWS, bool), noise())
+    found = jax.jit(lambda A: evidence_of(A, given, improved(A, given, unknown(A, ROWS), steps=30)))(A)
+    density = stats.multivariate_normal(np.zeros(ROWS), Psi @ Psi.T + 1e-2 * np.eye(ROWS)).logpdf(g)
+    assert float(found) == pytest.approx(density, rel=2e-3)
+
+
+def test_the_mean_over_one_value_is_its_integral():
+    told, f, var = stacked([choice(True), level(1.0, 5), level(-2.0, 5)]), [0.3, -0.2, 1.1], [0.7, 1.3, 0.4]
+    given = Answers(told, jnp.ones(3, bool), noise(0.05, rows=3))
+    found = one_value(jnp.float32(f), jnp.float32(var), given)
+    for row in range(3):
+        one = jax.tree.map(lambda x: x[row], told)  # noqa: B023
+        how = Noise(jnp.float32(KAPPA), jnp.float32(1e-2), jnp.float32(0.05))
+        value = jax.jit(lambda u: log_likelihood(u[None], one, how))  # noqa: B023
+        for of, mine in ((value, found[0]), (jax.jit(jax.grad(value)), found[1])):
+            u = f[row] + np.sqrt(var[row]) * np.linspace(-7, 7, 701)
+            there = np.asarray(jax.vmap(of)(jnp.float32(u)), float)
+            exact = np.average(there, weights=np.exp(-0.5 * np.linspace(-7, 7, 701) ** 2))
+            assert float(mine[row]) == pytest.approx(exact, rel=0.05, abs=0.03)
+
+
+def test_a_step_that_makes_it_worse_is_taken_back():
+    rng = np.random.default_rng(2)
+    Psi, kappa = rng.normal(size=(60, 5)), 0.03
+    u = 0.4 * Psi @ rng.normal(size=5) + kappa * rng.logistic(size=60)
+    told = stacked([level(float(np.clip(np.round(2 * x), -2, 2)), 5) for x in u])
+    how = Noise(jnp.float32(kappa), jnp.float32(1e-2), jnp.full(60, 0.02, jnp.float32))
+    A, given = jnp.float32(3 * Psi), Answers(told, jnp.ones(60, bool), how)
+    reached = jax.jit(lambda steps: evidence_of(A, given, improved(A, given, unknown(A, 60), steps=steps)))
+    found = [float(reached(steps)) for steps in (1, 4, 8, 16, 32)]
+    assert found == sorted(found)  # whole steps end at -1e7
+    assert found[-1] > -100

@@ -11,10 +11,11 @@ from jaxtyping import Array, Float
 
 from hiprl.data.preference import Kind, Preferences, Said
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.answers import KAPPA, MISTAKE, units
+from hiprl.models.answers import KAPPA, MISTAKE, compared, lengths_of, units
 from hiprl.models.estimate import RewardConfig, estimate_reward
 from hiprl.models.likelihood import Noise, log_likelihood
-from hiprl.models.reward import AdditiveReward, evidence, most_steps
+from hiprl.models.reward import AdditiveReward
+from hiprl.models.sums import every_step, values
 
 DRAWS = 512  # from the belief about a held-out answer
 NUMBER_ERROR = 1e-3  # of a number, over the spread of all numbers: nobody counts more exactly
@@ -61,12 +62,12 @@ def cross_validated(P: Preferences, T: Trajectories, config: RewardConfig, *, fo
 
 def predicted(P: Preferences, T: Trajectories, reward: AdditiveReward) -> Held:
     """What a reward says of each answer in P."""
-    features, Psi = evidence(T, P, steps=most_steps(P, T))
-    return _predicted(P, T, reward, features, Psi)
+    features, Psi = compared(T, P)
+    return _predicted(P, T, reward, features, Psi, lengths_of(P))
 
 
 @jax.jit
-def _predicted(P: Preferences, T: Trajectories, reward: AdditiveReward, features, Psi) -> Held:
+def _predicted(P: Preferences, T: Trajectories, reward: AdditiveReward, features, Psi, lengths) -> Held:
     J = Psi.shape[1]
     mean = Psi @ reward.mean
     half = Psi @ reward.root.T
@@ -79,7 +80,8 @@ def _predicted(P: Preferences, T: Trajectories, reward: AdditiveReward, features
     count = jnp.maximum(jnp.sum(numbers), 1)
     size = jnp.sqrt(jnp.sum(jnp.where(numbers, P.g**2, 0.0)) / count)
     size = jnp.where(size > 0, size, 1.0)
-    unit = jnp.where(number, 1 / size, reward.scale / units(features, reward.mean, T, P))
+    r = values(features, every_step(features, T), reward.mean).reshape(T.rows.actions.shape[:2])
+    unit = jnp.where(number, 1 / size, reward.scale / units(r, T, P, lengths))
     kappa = jnp.where(reward.kappa < 1, reward.kappa, KAPPA)  # a reward of numbers alone knows none
     noise = Noise(kappa, jnp.asarray(NUMBER_ERROR**2 + 1e-4), jnp.asarray(MISTAKE))
 

@@ -21,8 +21,9 @@ from jaxtyping import Array, Bool, Float
 from hiprl.data.preference import Clip, Preferences
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.features import AdditiveFeatures, raw_features
+from hiprl.models.features import DEGREE, AdditiveFeatures
 from hiprl.models.network import Scaler
+from hiprl.models.sums import columns, every_step, side_by_side, sums, values
 from hiprl.types import Action, Reward, Scalar, State
 
 BOX_MARGIN = 0.25  # how far past the seen range a coordinate, and the reward itself, may count
@@ -105,23 +106,31 @@ def summed(features: AdditiveFeatures, tau: Trajectory) -> Float[Array, " D"]:
 def features_of(T: Trajectories) -> AdditiveFeatures:
     """Features standardised over T, with the box of what T has seen, a margin added."""
     rows = T.transitions()
-    x = jnp.concatenate([rows.s, rows.a], axis=1)
-    scaler = Scaler.of(x, rows.mask)
-    z = jax.vmap(scaler.down)(x)
-    low = jnp.min(jnp.where(rows.mask[:, None], z, jnp.inf), axis=0)
-    high = jnp.max(jnp.where(rows.mask[:, None], z, -jnp.inf), axis=0)
-    margin = BOX_MARGIN * (high - low)
-    some = slice(None, None, 1 + len(z) // MANY)  # a mean of many does not need them all
-    raw = jnp.where(rows.mask[some, None], jax.vmap(raw_features)(z[some]), 0.0)
-    centre = (jnp.sum(raw, axis=0) / jnp.maximum(jnp.sum(rows.mask[some]), 1)).at[0].set(0.0)
-    return AdditiveFeatures(scaler, low - margin, high + margin, centre)
+    x = side_by_side(rows.s, rows.a)
+    alone = jax.vmap(lambda x: Scaler.of(x[:, None], rows.mask))(x)
+    scaler = jax.tree.map(lambda each: each[:, 0], alone)
+    least = scaler.down(jnp.min(jnp.where(rows.mask[None], x, jnp.inf), axis=1))
+    most = scaler.down(jnp.max(jnp.where(rows.mask[None], x, -jnp.inf), axis=1))
+    margin = BOX_MARGIN * (most - least)
+    size = 1 + x.shape[0] * (1 + DEGREE)
+    features = AdditiveFeatures(scaler, least - margin, most + margin, jnp.zeros(size, x.dtype))
+    some = slice(None, None, 1 + x.shape[1] // MANY)  # a mean of many does not need them all
+    seen = rows.mask[None, some]
+    total = sums(features, columns(features, x[:, some]), seen)[0]
+    centre = (total / jnp.maximum(jnp.sum(seen), 1)).at[0].set(0.0)
+    return eqx.tree_at(lambda f: f.centre, features, centre)
 
 
 def typical_size(reward: Reward, T: Trajectories) -> Scalar:
     """Root mean square of r̂ over the steps of T; 1 where r̂ is zero everywhere."""
     rows = T.transitions()
     r = jax.vmap(reward)(rows.s, rows.a)
-    square = jnp.sum(jnp.where(rows.mask, r**2, 0.0)) / jnp.maximum(jnp.sum(rows.mask), 1)
+    return root_mean_square(r, rows.mask)
+
+
+def root_mean_square(r: Float[Array, " n"], mask: Bool[Array, " n"]) -> Scalar:
+    """Of the rewards of the steps seen; 1 where they are all zero."""
+    square = jnp.sum(jnp.where(mask, r**2, 0.0)) / jnp.maximum(jnp.sum(mask), 1)
     return jnp.where(square > 0, jnp.sqrt(square), 1.0)
 
 
@@ -136,6 +145,16 @@ def clip_sum(features: AdditiveFeatures, T: Trajectories, clip: Clip, steps: int
     return jnp.sum(jnp.where(shown[:, None], phi, 0.0), axis=0)
 
 
+def clip_sums(features: AdditiveFeatures, T: Trajectories, clips: Clip, steps: int) -> Float[Array, "clips D"]:
+    """Sum of φ over each of a stack of clips of at most `steps` steps; 0 for nobody's."""
+    n = jnp.minimum(clips.length, jnp.maximum(T.rows.length[clips.of] - clips.start, 0))
+    t = jnp.arange(steps)[None]
+    shown = (t < n[:, None]) & (clips.of >= 0)[:, None]
+    at = jnp.where(shown, clips.start[:, None] + t, 0)
+    clean = lambda x: jnp.where(shown[..., None], x[clips.of[:, None], at], 0.0).reshape(-1, x.shape[-1])
+    return sums(features, columns(features, side_by_side(clean(T.rows.states), clean(T.rows.actions))), shown)
+
+
 def most_steps(P: Preferences, T: Trajectories) -> int:
     """Steps of the longest clip in P, rounded up so that few programs serve all. Not to be traced."""
     H = T.rows.actions.shape[1]
@@ -147,10 +166,10 @@ def most_steps(P: Preferences, T: Trajectories) -> int:
 def evidence(T: Trajectories, P: Preferences, *, steps: int) -> tuple[AdditiveFeatures, Float[Array, "K J D"]]:
     """Features of T, and Ψ: the sum of φ over each clip of an answer less that over its last one."""
     features = features_of(T)
-    sums = jax.vmap(jax.vmap(lambda clip: clip_sum(features, T, clip, steps)))(P.clips)
-    last = jnp.take_along_axis(sums, jnp.maximum(P.said.items - 1, 0)[:, None, None], axis=1)
+    Phi = clip_sums(features, T, jax.tree.map(lambda x: x.reshape(-1), P.clips), steps).reshape(*P.clips.of.shape, -1)
+    last = jnp.take_along_axis(Phi, jnp.maximum(P.said.items - 1, 0)[:, None, None], axis=1)
     used = P.filled[:, None] & (jnp.arange(P.m - 1)[None] < P.said.items[:, None] - 1)
-    return features, jnp.where(used[..., None], sums[:, :-1] - last, 0.0)
+    return features, jnp.where(used[..., None], Phi[:, :-1] - last, 0.0)
 
 
 def estimate_additive_reward(
@@ -215,10 +234,9 @@ def _posterior(
 @jax.jit
 def additive_reward(T: Trajectories, features, mean, prior, root, scale, kappa) -> AdditiveReward:
     """The posterior with the range of r̂ over the steps of T."""
-    rows = T.transitions()
-    r = jax.vmap(lambda s, a: features.dot(s, a, mean))(rows.s, rows.a)
-    low = jnp.min(jnp.where(rows.mask, r, jnp.inf))
-    high = jnp.max(jnp.where(rows.mask, r, -jnp.inf))
+    r, mask = values(features, every_step(features, T), mean), T.transitions().mask
+    low = jnp.min(jnp.where(mask, r, jnp.inf))
+    high = jnp.max(jnp.where(mask, r, -jnp.inf))
     margin = BOX_MARGIN * (high - low)
-    reward = AdditiveReward(jnp.ones(()), features, mean, prior, root, low - margin, high + margin, scale, kappa)
-    return eqx.tree_at(lambda r: r.unit, reward, typical_size(reward, T))
+    unit = root_mean_square(r, mask)  # the seen range is within the box
+    return AdditiveReward(unit, features, mean, prior, root, low - margin, high + margin, scale, kappa)

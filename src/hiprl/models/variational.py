@@ -2,9 +2,11 @@
 
 A choice between two clips says on which side of zero a difference lies and no more, so posteriors are skewed, and their
 mode is far from their mean. Hence Newton's steps look at the likelihood not at one point but over the present belief:
-their fixed point is the Gaussian of least divergence from the posterior. Written in the values at the answers, so that
-the cost is that of the number of answers and not of the features.
-Source: Opper and Archambeau (2009); Khan and Rue (2023) for the steps; Rasmussen and Williams (2006), section 3.4.
+their fixed point is the Gaussian of least divergence from the posterior. The prior covariance K of the values at the
+answers is given as A with AAᵀ = K, and a step works in the columns of A: there are as many as there is to know about
+the values, which for many answers is less than answers or features.
+Source: Opper and Archambeau (2009); Khan and Rue (2023) for the steps; Rasmussen and Williams (2006), section 3.4;
+Fine and Scheinberg (2001) for A.
 """
 
 from __future__ import annotations
@@ -16,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from hiprl.data.preference import Said
+from hiprl.data.preference import Kind, Said
 from hiprl.models.likelihood import Noise, curvature, for_each, log_likelihood, terms
-from hiprl.types import Scalar
+from hiprl.types import Count, Scalar
 
 JITTER = 1e-10
 STEP = 0.7  # share of the way to the aim of a Newton step
@@ -35,6 +37,8 @@ class Belief(NamedTuple):
     """What the answers say of the precision."""
     S: Float[Array, "rows J J"]
     """Covariance of the values of each row."""
+    log_det: Scalar
+    """log |I + KW|: twice how much less is unknown, in nats."""
 
 
 class Posterior(NamedTuple):
@@ -61,17 +65,39 @@ def points(J: int) -> tuple[np.ndarray, np.ndarray]:
     return x, np.full(len(x), 1 / len(x))
 
 
-def unknown(K: Float[Array, "n n"], rows: int) -> Belief:
-    """What is believed of f ~ N(0, K) before any answer."""
-    n = K.shape[0]
-    S = blocks_of(K, rows)
-    return Belief(jnp.zeros(n, K.dtype), jnp.zeros_like(S), S)
+def thin(K: Float[Array, "n n"], rank: int) -> Float[Array, "n rank"]:
+    """A with AAᵀ = K but for what few columns leave out.
+
+    The pivoted Cholesky factor, which takes next the value of which it leaves out the greatest share. What is left out
+    of a value's prior variance only falls with the rank, and never makes a variance negative.
+    """
+    std = jnp.sqrt(jnp.diag(K))
+    inverse = jnp.where(std > 0, 1 / jnp.where(std > 0, std, 1.0), 0.0)
+    R = K * jnp.outer(inverse, inverse)
+
+    def column(i, carry):
+        A, left = carry
+        p = jnp.argmax(left)
+        a = R[p] - A.T @ A[:, p]
+        a = jnp.where(left[p] > JITTER, a / jnp.sqrt(jnp.maximum(left[p], JITTER)), 0.0)
+        return A.at[i].set(a), jnp.maximum(left - a**2, 0.0)
+
+    start = jnp.zeros((rank, len(K)), K.dtype), jnp.diag(R)
+    return std[:, None] * jax.lax.fori_loop(0, rank, column, start)[0].T
 
 
-def blocks_of(K: Float[Array, "n n"], rows: int) -> Float[Array, "rows J J"]:
-    """The blocks on the diagonal."""
-    i, J = jnp.arange(rows), K.shape[0] // rows
-    return K.reshape(rows, J, rows, J)[i, :, i]
+def unknown(A: Float[Array, "n r"], rows: int) -> Belief:
+    """What is believed of f ~ N(0, AAᵀ) before any answer."""
+    S = blocks_of(A.T, rows)
+    return Belief(jnp.zeros(len(A), A.dtype), jnp.zeros_like(S), S, jnp.zeros((), A.dtype))
+
+
+def blocks_of(B: Float[Array, "r n"], rows: int) -> Float[Array, "rows J J"]:
+    """The blocks on the diagonal of BᵀB."""
+    if B.shape[1] == rows:
+        return jnp.sum(B**2, axis=0)[:, None, None]
+    B = B.reshape(B.shape[0], rows, -1)
+    return jnp.einsum("nri,nrj->rij", B, B)
 
 
 class Answers(NamedTuple):
@@ -88,12 +114,9 @@ def over_belief(f: Float[Array, " n"], S: Float[Array, "rows J J"], given: Answe
     """Mean of the log likelihood, of its slope and of its curvature over the belief, for each row."""
     said, filled, noise = given
     rows, J, _ = S.shape
-    z, weights = (jnp.asarray(x, f.dtype) for x in points(J))
     if J == 1:  # the common case, with derivatives written out
-        u = f[None] + jnp.sqrt(S[:, 0, 0] + JITTER)[None] * z
-        found = jax.vmap(lambda u: terms(u, said, noise))(u)
-        value, slope, bend = (jnp.where(filled, weights @ x, 0.0) for x in found)
-        return value, slope, bend[:, None, None]
+        return one_value(f, S[:, 0, 0], given)
+    z, weights = (jnp.asarray(x, f.dtype) for x in points(J))
     L = jnp.linalg.cholesky(S + JITTER * jnp.eye(J, dtype=f.dtype)[None])
     u = f.reshape(1, rows, J) + jnp.einsum("rij,zj->zri", L, z)
     mean = lambda of: jnp.tensordot(weights, jax.vmap(lambda u: for_each(of, u, said, noise))(u), 1)
@@ -102,71 +125,118 @@ def over_belief(f: Float[Array, " n"], S: Float[Array, "rows J J"], given: Answe
     return value, slope.reshape(-1), jnp.where(filled[:, None, None], mean(curvature), 0.0)
 
 
-class Factors(NamedTuple):
-    """Of a precision W, in a prior K."""
+def one_value(f: Float[Array, " rows"], var: Float[Array, " rows"], given: Answers):
+    """`over_belief` where each answer is about one value; by quadrature in float32, which is enough for an average."""
+    said, filled, noise = given
+    narrow = lambda x: x.astype(jnp.float32)
+    z, weights = (jnp.asarray(x, jnp.float32) for x in points(1))
+    u = narrow(f)[None] + narrow(jnp.sqrt(var + JITTER))[None] * z
+    short = Said(said.kind, narrow(said.low), narrow(said.high), said.items)
+    found = jax.vmap(lambda u: terms(u, short, jax.tree.map(narrow, noise)))(u)
+    numbers, error = said.kind == Kind.NUMBER, jnp.where(said.kind == Kind.NUMBER, said.low, 0.0) - f
+    exact = (
+        -0.5 * (error**2 + var) / noise.var - 0.5 * jnp.log(2 * jnp.pi * noise.var),
+        error / noise.var,
+        jnp.broadcast_to(1 / noise.var, f.shape),
+    )
+    either = lambda x, y: jnp.where(filled, jnp.where(numbers, x, (weights @ y).astype(f.dtype)), 0.0)
+    value, slope, bend = (either(x, y) for x, y in zip(exact, found, strict=True))
+    return value, slope, bend[:, None, None]
 
-    V: Float[Array, "rows J J"]
-    """Blocks of V with VVᵀ = W."""
-    KV: Float[Array, "n n"]
-    L: Float[Array, "n n"]
-    """Cholesky factor of I + VᵀKV."""
 
-
-def factors(K: Float[Array, "n n"], W: Float[Array, "rows J J"], filled: Bool[Array, " rows"]) -> Factors:
-    """Factors of the posterior's precision."""
-    n, (rows, J, _) = K.shape[0], W.shape
-    eye = jnp.eye(J, dtype=K.dtype)[None]
-    V = jnp.where(filled[:, None, None], jnp.linalg.cholesky(W + JITTER * eye), 0.0)
-    KV = jnp.einsum("nrj,rjk->nrk", K.reshape(n, rows, J), V).reshape(n, n)
-    VKV = jnp.einsum("rji,rjm->rim", V, KV.reshape(rows, J, n)).reshape(n, n)
-    return Factors(V, KV, jnp.linalg.cholesky(jnp.eye(n, dtype=K.dtype) + VKV))
-
-
-def by_block(M: Float[Array, "rows J J"], x: Float[Array, " n"]) -> Float[Array, " n"]:
-    """The product of a block diagonal matrix with x."""
+def by_block(M: Float[Array, "rows J J"], X: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
+    """The product of a block diagonal matrix with X."""
     rows, J, _ = M.shape
-    return jnp.einsum("rjk,rk->rj", M, x.reshape(rows, J)).reshape(-1)
+    if J == 1:
+        return M.reshape(rows, *[1] * (X.ndim - 1)) * X
+    return jnp.einsum("rjk,rk...->rj...", M, X.reshape(rows, J, *X.shape[1:])).reshape(X.shape)
 
 
-def improved(K: Float[Array, "n n"], given: Answers, belief: Belief, *, steps: int) -> Belief:
-    """A belief about f ~ N(0, K) after so many of Newton's steps.
+class Climb(NamedTuple):
+    """Where Newton's steps are."""
+
+    number: Count
+    at: Belief
+    """Where the last step led."""
+    best: Belief
+    """The last belief that was better than all before."""
+    slope: Float[Array, " n"]
+    """Of the mean log likelihood there."""
+    bend: Float[Array, "rows J J"]
+    evidence: Scalar
+    """What it reaches; infinitely little before the first step."""
+    gain: Scalar
+    """By how much the last step was better."""
+    step: Scalar
+    """Share of the way of the next step."""
+
+
+def improved(
+    A: Float[Array, "n r"], given: Answers, belief: Belief, *, steps: Count | int, enough: float = 0.0
+) -> Belief:
+    """A belief about f ~ N(0, AAᵀ) after some of Newton's steps; one that makes it worse is taken back and shortened.
 
     Args:
-        K: prior covariance of the values, row by row.
+        A: factor of the prior covariance of the values, row by row.
         given: the answers.
         belief: where to begin: `unknown`, or what was believed under another prior.
-        steps: Newton steps.
+        steps: Newton steps, at most.
+        enough: gain of a step in nats below which it is the last.
     """
-    blocks = blocks_of(K, given.filled.shape[0])
+    rows, eye = given.filled.shape[0], jnp.eye(A.shape[1], dtype=A.dtype)
 
-    def newton(belief: Belief, _) -> tuple[Belief, None]:
-        f = K @ belief.dual
-        _, slope, bend = over_belief(f, belief.S, given)
-        W = belief.W + STEP * (bend - belief.W)
-        V, KV, L = factors(K, W, given.filled)
+    def towards(belief: Belief, slope: Array, bend: Array, step: Scalar) -> Belief:
+        f = A @ (A.T @ belief.dual)
+        W = belief.W + step * (bend - belief.W)
+        L = jnp.linalg.cholesky(eye + A.T @ by_block(W, A))  # LLᵀ is the precision of z where f = Az
+        half = jax.scipy.linalg.solve_triangular(L, A.T, lower=True)
         b = by_block(W, f) + slope
-        aim = b - by_block(V, jax.scipy.linalg.cho_solve((L, True), KV.T @ b))
-        inner = jax.scipy.linalg.solve_triangular(L, KV.T, lower=True).reshape(-1, *blocks.shape[:2])
-        S = blocks - jnp.einsum("nri,nrj->rij", inner, inner)
-        return Belief(belief.dual + STEP * (aim - belief.dual), W, S), None
+        aim = b - by_block(W, half.T @ (half @ b))
+        log_det = 2 * jnp.sum(jnp.log(jnp.diag(L)))
+        return Belief(belief.dual + step * (aim - belief.dual), W, blocks_of(half, rows), log_det)
 
-    return jax.lax.scan(newton, belief, length=steps)[0]
+    def looked(climb: Climb) -> Climb:
+        """The same with what the last step came to."""
+        z = A.T @ climb.at.dual
+        value, slope, bend = over_belief(A @ z, climb.at.S, given)
+        reached = jnp.sum(value) - divergence(z, climb.at)
+        gain = reached - climb.evidence
+        good = gain >= 0
+        here, there = (climb.at, slope, bend, reached), (climb.best, climb.slope, climb.bend, climb.evidence)
+        best, slope, bend, reached = jax.tree.map(lambda x, y: jnp.where(good, x, y), here, there)
+        step = jnp.where(good, jnp.minimum(STEP, 2 * climb.step), climb.step / 4)
+        gain = jnp.where(good, gain, jnp.inf)  # not there yet
+        return Climb(climb.number, climb.at, best, slope, bend, reached, gain, step)
+
+    def newton(climb: Climb) -> Climb:
+        at = towards(climb.best, climb.slope, climb.bend, climb.step)
+        return looked(climb._replace(at=at, number=climb.number + 1))
+
+    _, slope, bend = over_belief(A @ (A.T @ belief.dual), belief.S, given)
+    of = lambda x: jnp.asarray(x, A.dtype)
+    start = Climb(jnp.zeros((), jnp.int32), belief, belief, slope, bend, of(-jnp.inf), of(jnp.inf), of(STEP))
+    going = lambda climb: (climb.number < steps) & (climb.gain > enough)
+    return jax.lax.while_loop(going, newton, start).best
 
 
-def evidence_of(K: Float[Array, "n n"], given: Answers, belief: Belief) -> Scalar:
+def divergence(z: Float[Array, " r"], belief: Belief) -> Scalar:
+    """Of the belief about z, whose mean this is, from its prior, in nats."""
+    return 0.5 * (belief.log_det + z @ z - jnp.sum(belief.W * belief.S))  # tr (I + KW)⁻¹ = n - tr WS
+
+
+def evidence_of(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Scalar:
     """Lower bound of the log marginal likelihood: how well the answers are explained, less what was learned."""
-    L = factors(K, belief.W, given.filled).L
-    inverse = jax.scipy.linalg.solve_triangular(L, jnp.eye(K.shape[0], dtype=K.dtype), lower=True)
-    f = K @ belief.dual
-    divergence = 0.5 * (jnp.sum(inverse**2) - K.shape[0] + belief.dual @ f) + jnp.sum(jnp.log(jnp.diag(L)))
-    return jnp.sum(over_belief(f, belief.S, given)[0]) - divergence
+    z = A.T @ belief.dual
+    return jnp.sum(over_belief(A @ z, belief.S, given)[0]) - divergence(z, belief)
 
 
-def posterior_of(K: Float[Array, "n n"], given: Answers, belief: Belief) -> Posterior:
+def posterior_of(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Posterior:
     """The belief in the form in which it is kept."""
-    V, _, L = factors(K, belief.W, given.filled)
-    rows, n = given.filled.shape[0], K.shape[0]
+    K, (rows, J, _) = A @ A.T, belief.W.shape
+    n, eye = len(K), jnp.eye(J, dtype=A.dtype)[None]
+    V = jnp.where(given.filled[:, None, None], jnp.linalg.cholesky(belief.W + JITTER * eye), 0.0)  # VVᵀ = W
     # of the block diagonal matrix of V's blocks
-    wide = jnp.einsum("rij,rs->risj", V, jnp.eye(rows, dtype=K.dtype)).reshape(n, n)
+    wide = jnp.einsum("rij,rs->risj", V, jnp.eye(rows, dtype=A.dtype)).reshape(n, n)
+    L = jnp.linalg.cholesky(jnp.eye(n, dtype=A.dtype) + wide.T @ K @ wide)
     root = jax.scipy.linalg.solve_triangular(L, wide.T, lower=True)
-    return Posterior(belief.dual, K @ belief.dual, root, evidence_of(K, given, belief))
+    return Posterior(belief.dual, K @ belief.dual, root, evidence_of(A, given, belief))
