@@ -12,7 +12,19 @@ from benchmarks.roofline import Product, network
 from benchmarks.runner import Job, known, reported, run_all, seeds_of, write
 from benchmarks.table1 import solved_by
 
-PROGRAMS = ("policy_search", "roofline", "table1", "answers", "questions", "optimism", "linear", "crash", "judges")
+PROGRAMS = (
+    "policy_search",
+    "roofline",
+    "table1",
+    "answers",
+    "questions",
+    "cost",
+    "coverage",
+    "optimism",
+    "linear",
+    "crash",
+    "judges",
+)
 
 
 def test_seeds_are_ranges_and_lists():
