@@ -76,7 +76,7 @@ def times(n: float, work: Work) -> Work:
 
 def fit_work(config: DynamicsConfig, p: int, q: int) -> Work:
     """A gradient step of the ensemble's fit, with its share of a look at the held-out loss."""
-    sizes = (p + q, *config.hidden, 2 * p)
+    sizes = (p + q, *config.layers(p + q), 2 * p)
     return network(config.M, config.batch, sizes, weights=True) + times(
         1 / config.chunk, network(config.M, 1024, sizes)
     )
@@ -86,7 +86,7 @@ def gradient_work(config: GradientConfig, made: Setting) -> Work:
     """An update of the search by gradients, with its share of a trial."""
     p, size, M, dynamics, everywhere = shapes(made)
     n = M * config.rollouts
-    policy, value = (p, *config.hidden, 2 * size), (p, *config.hidden, 1)
+    policy, value = (p, *config.layers(p), 2 * size), (p, *config.layers(p), 1)
     rows = n if everywhere else config.rollouts
     step = network(M, rows, dynamics, inputs=True) + network(1, n, policy, weights=True, inputs=True)
     trial = network(M, config.trial_starts, dynamics) + network(1, M * config.trial_starts, policy)

@@ -254,3 +254,10 @@ def test_trials_are_in_the_members_and_know_no_hope(search):
         key=jr.key(0),
     )
     np.testing.assert_allclose(returns, -p * (1 + 0.25 + 0.0625), rtol=1e-3)
+
+
+def test_few_coordinates_get_smaller_networks_unless_the_config_says_otherwise():
+    state = new_gradient(starts().scaler, q, GradientConfig(), key=jr.key(1))
+    assert [b.shape[0] for b in state.policy.net.biases[:-1]] == [64, 64]
+    assert [b.shape[0] for b in state.value.net.biases[:-1]] == [64, 64]
+    assert GradientConfig().layers(9) == (128, 128) and GradientConfig(hidden=(7,)).layers(9) == (7,)

@@ -128,3 +128,10 @@ def test_long_and_short_fits_are_one_program(T, learned):
     _, report = fitted(T, steps=CONFIG.warm_steps, before=learned[0])
     assert int(report.steps) == CONFIG.warm_steps
     assert estimate_dynamics._cache_size() == before
+
+
+def test_few_coordinates_get_smaller_networks_unless_the_config_says_otherwise(T):
+    built = lambda config: [b.shape[1] for b in new_dynamics(T, config, key=jr.key(1)).ensemble.stack.net.biases[:-1]]
+    assert built(DynamicsConfig()) == [64, 64] and built(DynamicsConfig(hidden=(7,))) == [7]
+    assert DynamicsConfig().layers(8) == (64, 64) and DynamicsConfig().layers(9) == (128, 128, 128)
+    assert DynamicsConfig(hidden=()).layers(9) == ()

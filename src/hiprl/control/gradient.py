@@ -23,7 +23,7 @@ from hiprl.control.imagined import Ends, SearchReport, SearchState, Starts, alon
 from hiprl.control.policy import SquashedPolicy, Value
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.fit import descend, descent
-from hiprl.models.network import Activation, Scaler
+from hiprl.models.network import FEW, Activation, Scaler
 from hiprl.types import Count, Flag, Key, Policy, Reward, Scalar, State, stacked_size
 
 
@@ -31,8 +31,9 @@ from hiprl.types import Count, Flag, Key, Policy, Reward, Scalar, State, stacked
 class GradientConfig:
     """Settings of the search by back-propagation through the model."""
 
-    hidden: tuple[int, ...] = (128, 128)
-    """Units of the hidden layers of policy and value."""
+    hidden: tuple[int, ...] | None = None
+    """Units of the hidden layers of policy and value; None for two layers of 128, or of 64 where a state has 8 entries
+    at most."""
     activation: Activation = "elu"
     """Between layers of policy and value."""
     chunks: int = 8
@@ -66,6 +67,11 @@ class GradientConfig:
     trial_starts: int = 8
     """Trials in each member."""
 
+    def layers(self, p: int) -> tuple[int, ...]:
+        """Units of the hidden layers, where a state has `p` entries."""
+        usual = (64, 64) if p <= FEW else (128, 128)
+        return usual if self.hidden is None else self.hidden
+
     def discount(self, H: int) -> float:
         """γ in episodes of at most H steps."""
         return min(max(1 - 5 / H, 0.99), 0.995) if self.gamma is None else self.gamma
@@ -74,7 +80,7 @@ class GradientConfig:
 def new_gradient(inputs: Scaler, size: int, config: GradientConfig, *, key: Key) -> SearchState:
     """A policy that does next to nothing, and a value that knows nothing."""
     policy_key, value_key = jr.split(key)
-    hidden = {"hidden": config.hidden, "activation": config.activation}
+    hidden = {"hidden": config.layers(inputs.size), "activation": config.activation}
     return SearchState(
         SquashedPolicy.draw(inputs, size, **hidden, key=policy_key), Value.draw(inputs, **hidden, key=value_key)
     )

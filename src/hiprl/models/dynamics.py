@@ -16,7 +16,7 @@ from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import InputError
 from hiprl.models.ensemble import Ensemble, Member
 from hiprl.models.fit import FitReport, fit
-from hiprl.models.network import Activation, state_action_scaler, step_scaler
+from hiprl.models.network import FEW, Activation, state_action_scaler, step_scaler
 from hiprl.models.rows import RowDraw
 from hiprl.types import Count, Key, Scalar
 
@@ -27,8 +27,9 @@ class DynamicsConfig:
 
     M: int = 5
     """Members of the ensemble (paper: 5)."""
-    hidden: tuple[int, ...] = (128, 128, 128)
-    """Units of the hidden layers (paper: two layers of 32)."""
+    hidden: tuple[int, ...] | None = None
+    """Units of the hidden layers (paper: two layers of 32); None for three layers of 128, or two of 64 where s and a
+    have 8 entries together at most."""
     activation: Activation = "silu"
     """Between layers (paper: relu)."""
     learning_rate: float = 3e-3
@@ -57,6 +58,11 @@ class DynamicsConfig:
                 "Take 5, as the paper does."
             )
 
+    def layers(self, size: int) -> tuple[int, ...]:
+        """Units of the hidden layers, where s and a have `size` entries together."""
+        usual = (64, 64) if size <= FEW else (128, 128, 128)
+        return usual if self.hidden is None else self.hidden
+
 
 class DynamicsState(eqx.Module):
     """The ensemble, and the draw by which each member weighs each transition for the whole run."""
@@ -69,8 +75,9 @@ class DynamicsState(eqx.Module):
 def new_dynamics(T: Trajectories, config: DynamicsConfig, *, key: Key) -> DynamicsState:
     """An ensemble that knows no more of the world than its units: those of T."""
     net_key, bootstrap_key = jr.split(key)
-    shape = {"M": config.M, "hidden": config.hidden, "activation": config.activation}
-    ensemble = Ensemble.draw(state_action_scaler(T), step_scaler(T), **shape, key=net_key)
+    inputs = state_action_scaler(T)
+    shape = {"M": config.M, "hidden": config.layers(inputs.size), "activation": config.activation}
+    ensemble = Ensemble.draw(inputs, step_scaler(T), **shape, key=net_key)
     return DynamicsState(ensemble, jr.key_data(bootstrap_key))
 
 

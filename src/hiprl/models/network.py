@@ -16,6 +16,7 @@ from hiprl.types import Key
 Activation: TypeAlias = Literal["relu", "silu", "elu", "tanh"]
 
 
+FEW = 8  # entries of what a network is asked about, up to which 64 units a layer say all there is to say
 CONSTANT = 1e-5  # a spread below this share of the values is what rounding leaves of a constant
 
 
