@@ -1,5 +1,6 @@
 import base64
 import io
+from typing import ClassVar
 
 import gymnasium as gym
 import jax.numpy as jnp
@@ -7,11 +8,14 @@ import jax.random as jr
 import numpy as np
 import pytest
 from gymnasium import spaces
+from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
 from PIL import Image
 
 from hiprl.control.policy import Uniform
 from hiprl.data.film import Film
+from hiprl.errors import InputError
 from hiprl.world.build import world_from
+from hiprl.world.camera import FITS, Pictures
 
 
 def test_a_mujoco_world_is_filmed_by_where_its_bodies_are():
@@ -102,9 +106,66 @@ def test_another_environment_is_filmed_by_its_own_pictures():
     assert [round(float(np.asarray(one).mean()) / 20) for one in pictures] == list(range(6))
 
 
-@pytest.mark.parametrize("env", ["linear", "Pendulum-v1"])
-def test_of_some_worlds_nothing_is_to_be_seen(env):
-    world = world_from(env, horizon=5)
+class PaintsIfAsked(Painted):
+    """Draws itself only where it was made for that, as Gymnasium's own do."""
+
+    metadata: ClassVar = {"render_fps": 10, "render_modes": ["rgb_array"]}
+
+    def __init__(self, render_mode=None, broken=False):
+        self.render_mode, self.broken = render_mode, broken
+
+    def render(self):
+        if self.broken:
+            raise ImportError("no module to draw with")
+        return super().render()
+
+
+@pytest.fixture
+def registered():
+    names = {"tests/Paints-v0": {}, "tests/Broken-v0": {"broken": True}}
+    for name, settings in names.items():
+        gym.register(name, PaintsIfAsked, kwargs=settings, max_episode_steps=9)
+    yield
+    for name in names:
+        del gym.registry[name]
+
+
+def test_a_registered_environment_is_made_to_draw_itself(registered):
+    world = world_from("tests/Paints-v0", horizon=5)
+    assert world.start_filming() == {"kind": "frames", "dt": 0.1} and world.H == 5
+    tau = world.roll_out(Uniform(jnp.ones(()), 1), key=jr.key(0))
+    assert len(world.film.pictures) == int(tau.length) + 1 == 6
+    assert world.start_filming(drawn=True) is not None
+    world.roll_out(Uniform(jnp.ones(()), 1), key=jr.key(0))
+    assert Image.open(io.BytesIO(world.film.pictures[0])).size == (480, 300)
+
+
+def test_one_that_cannot_draw_shows_its_states(registered):
+    world = world_from("tests/Broken-v0", horizon=5)
+    assert world.start_filming() is None
+    assert int(world.roll_out(Uniform(jnp.ones(()), 1), key=jr.key(0)).length) == 5
+
+
+def test_a_picture_is_small_enough_to_be_sent_a_hundred_times():
+    noise = np.random.default_rng(0).integers(0, 256, (300, 480, 3))
+    assert len(Pictures(lambda: np.full((300, 480, 3), 9), 0.1).look()) < FITS
+    rough = Image.open(io.BytesIO(Pictures(lambda: noise, 0.1).look()))
+    assert rough.size == (160, 100)  # what fits least of all is sent as small as can be
+
+
+def test_where_bodies_cannot_be_drawn_that_is_said(monkeypatch):
+    def fails(self, mode):
+        raise RuntimeError("no OpenGL")
+
+    monkeypatch.setattr(MujocoRenderer, "render", fails)
+    world = world_from("InvertedPendulum-v5", horizon=5)
+    with pytest.raises(InputError, match=r"no OpenGL.*drawn with OpenGL.*MUJOCO_GL=egl"):
+        world.start_filming(drawn=True)
+    assert world.start_filming()["kind"] == "mujoco"  # a page needs none
+
+
+def test_of_some_worlds_nothing_is_to_be_seen():
+    world = world_from("linear", horizon=5)
     assert world.start_filming() is None
     world.roll_out(Uniform(jnp.ones(()), world.q), key=jr.key(0))
     assert world.film is None

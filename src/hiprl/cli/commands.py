@@ -241,13 +241,15 @@ class Serve:
 class Play:
     """Look at what a run has learned: one file with the behaviour in 3-D, which opens in any browser and can be mailed.
 
-    Without --html it lies beside the store, and is opened where there is a screen.
+    Without --html and --video it lies beside the store, and is opened where there is a screen.
     """
 
     run: Annotated[Positional[str], arg(metavar="RUN")]
     """The run's id, or the start of it."""
     html: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: beside the store)")] = None
     """Where to write it."""
+    video: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write a video (MP4) too; needs pip install 'hiprl[video]' and, for a MuJoCo body, OpenGL."""
     steps: Annotated[int, arg(metavar="N")] = 500
     """At most so many steps of the episode."""
     seed: int = 0

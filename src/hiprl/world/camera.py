@@ -1,20 +1,26 @@
-"""Films an environment without a graphics card: from the poses of a MuJoCo model's bodies, or from its own pictures."""
+"""Films an environment: by where a MuJoCo model's bodies are, for which no graphics card is needed, or in pictures."""
 
 from __future__ import annotations
 
 import base64
 import io
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from hiprl.data.film import Film
+from hiprl.errors import InputError
+from hiprl.world.words import said
 
 GEOMS = {0: "plane", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box", 7: "mesh"}  # MuJoCo's numbers
 HIDDEN_GROUP = 3  # geoms of this group and above are for collisions, and not drawn
-WIDTH = 240  # of a picture, in pixels
-QUALITY = 60  # of a JPEG
+SMALL = ((240, 60), (240, 35), (160, 35), (160, 15))  # (width, quality of a JPEG) for a page: the first that fits
+FITS = 2048  # bytes of one picture, so that two clips of 50 steps stay under 300 kB
+LARGE = ((1280, 95),)  # for a video
+FRAME = (640, 480)  # in which MuJoCo draws: what its models provide for
+SHADOW, REFLECTION = 0, 2  # MuJoCo's numbers for what takes most of the time where there is no graphics card
 
 
 class Camera(ABC):
@@ -54,34 +60,77 @@ class Bodies(Camera):
 
 
 class Pictures(Camera):
-    """What the environment itself renders."""
+    """What the environment itself draws, or MuJoCo does."""
 
-    def __init__(self, env: Any, dt: float):
-        self._env = env
+    def __init__(self, draw: Callable[[], Any], dt: float, *, sizes: tuple[tuple[int, int], ...] = SMALL):
+        self._draw, self._sizes = draw, sizes
         self.scene = {"kind": "frames", "dt": dt}
 
     def look(self) -> bytes:
         from PIL import Image
 
-        image = Image.fromarray(np.asarray(self._env.render(), np.uint8))
-        if image.width > WIDTH:
-            image = image.resize((WIDTH, round(image.height * WIDTH / image.width)))
-        buffer = io.BytesIO()
-        image.save(buffer, "JPEG", quality=QUALITY)
-        return buffer.getvalue()
+        whole = Image.fromarray(np.asarray(self._draw(), np.uint8))
+        jpeg = b""
+        for width, quality in self._sizes:
+            height = max(1, round(whole.height * width / whole.width))
+            image = whole if whole.width <= width else whole.resize((width, height))
+            buffer = io.BytesIO()
+            image.save(buffer, "JPEG", quality=quality)
+            jpeg = buffer.getvalue()
+            if len(jpeg) <= FITS:
+                break
+        return jpeg
 
     def film(self, looks: list[Any]) -> Film:
         return Film(pictures=looks)
 
 
-def camera_of(env: Any) -> Camera | None:
-    """A camera for this environment; None if there is nothing to be seen of it."""
+def camera_of(env: Any, *, drawn: bool = False) -> Camera | None:
+    """A camera for this environment; None if there is nothing to be seen of it.
+
+    Args:
+        env: the environment.
+        drawn: whether pictures are wanted, for a video, also of bodies that a page could draw.
+
+    Raises:
+        InputError: MuJoCo's bodies are to be drawn here, and nothing here can do it.
+    """
     inner = env.unwrapped
     dt = float(getattr(inner, "dt", 0.0) or 1 / (env.metadata.get("render_fps") or 20))
+    sizes = LARGE if drawn else SMALL
     model, data = getattr(inner, "model", None), getattr(inner, "data", None)
     if hasattr(model, "geom_type") and hasattr(data, "xquat"):
-        return Bodies(model, data, dt)
-    return Pictures(env, dt) if getattr(env, "render_mode", None) == "rgb_array" else None
+        return Pictures(_drawing(inner), dt, sizes=sizes) if drawn else Bodies(model, data, dt)
+    return Pictures(env.render, dt, sizes=sizes) if getattr(env, "render_mode", None) == "rgb_array" else None
+
+
+def _drawing(inner: Any) -> Callable[[], np.ndarray]:
+    """Draws the bodies of an environment with OpenGL, seen from where it is seen usually."""
+    import mujoco
+    from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
+
+    mj: Any = mujoco  # it comes without types
+    usual = getattr(inner, "mujoco_renderer", None)
+    follows = mj.mj_name2id(inner.model, mj.mjtObj.mjOBJ_CAMERA, "track") >= 0
+    try:
+        renderer = MujocoRenderer(
+            inner.model,
+            inner.data,
+            default_cam_config=getattr(usual, "default_cam_config", None),
+            width=FRAME[0],
+            height=FRAME[1],
+            camera_name="track" if follows else None,
+        )
+        renderer.render("rgb_array")
+    except Exception as error:
+        raise InputError(
+            f"cannot draw the bodies here ({said(error)}); a video is drawn with OpenGL, a page of `--html` without. "
+            "On a machine without a screen install EGL (on Debian: apt-get install libegl1 libgl1-mesa-dri libopengl0) "
+            "and write MUJOCO_GL=egl before the command, or leave --video out."
+        ) from error
+    flags = renderer._get_viewer("rgb_array").scn.flags
+    flags[SHADOW] = flags[REFLECTION] = 0
+    return lambda: np.asarray(renderer.render("rgb_array"))
 
 
 def _geoms(model: Any) -> dict[str, Any]:

@@ -93,9 +93,29 @@ class GymWorld(World):
     def scaled(self, a: np.ndarray) -> np.ndarray:
         return np.minimum(np.maximum(self._centre + self._half * a, self._low), self._high)
 
-    def start_filming(self) -> dict[str, Any] | None:
-        self._camera = camera_of(self.env)
+    def start_filming(self, *, drawn: bool = False) -> dict[str, Any] | None:
+        """Films from now on. A registered environment that draws itself if asked when made is made again for that."""
+        self._camera = camera_of(self.env, drawn=drawn)
+        if self._camera is None and (env := self._that_draws()) is not None:
+            self.env.close()
+            self.env, self._camera = env, camera_of(env, drawn=drawn)
         return None if self._camera is None else self._camera.scene
+
+    def _that_draws(self) -> gym.Env | None:
+        """The same environment, made to draw itself; None where it cannot, as where it lacks a package for that."""
+        spec = self.env.spec
+        if spec is None or self._spec is None or self._spec.rpartition(":")[2] != spec.id:
+            return None  # it was made by a function of the user's, who knows what it is to draw
+        if "rgb_array" not in self.env.metadata.get("render_modes", ()):
+            return None
+        try:
+            with quiet():
+                env = gym.make(spec, render_mode="rgb_array", disable_env_checker=True)
+                env.reset(seed=0)
+                env.render()
+        except Exception:  # a package is missing, or it draws only elsewhere: its states are shown then
+            return None
+        return env
 
     @property
     def film(self) -> Film | None:

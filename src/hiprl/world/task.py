@@ -49,8 +49,15 @@ class World(ABC):
         """What the entries of its states and actions are called."""
         return numbered(self.p, self.q)
 
-    def start_filming(self) -> dict[str, Any] | None:
-        """Films every episode from now on; gives the scene, or None if there is nothing to be seen of this world."""
+    def start_filming(self, *, drawn: bool = False) -> dict[str, Any] | None:
+        """Films every episode from now on; gives the scene, or None if there is nothing to be seen of this world.
+
+        Args:
+            drawn: whether large pictures are wanted, also where a page could draw the bodies.
+
+        Raises:
+            InputError: they are, and nothing here can draw them.
+        """
         return None
 
     @property
