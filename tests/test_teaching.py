@@ -6,16 +6,20 @@ import threading
 import time
 from dataclasses import replace
 
+import equinox as eqx
+import jax.numpy as jnp
+import jax.random as jr
 import numpy as np
 import pytest
 
-from hiprl.config import PEOPLE, teachable
+from hiprl.config import PEOPLE, Config, teachable
+from hiprl.control.policy import Uniform
 from hiprl.data.answer import choice, level
 from hiprl.errors import InputError
 from hiprl.report.evidence import evidence_of, opinions
-from hiprl.session import RunSpec, start
+from hiprl.session import RunSpec, spec_of, start
 from hiprl.store.store import Store, open_store
-from hiprl.teaching import AGAIN, improved, taught
+from hiprl.teaching import AGAIN, OPEN, SEEN, Asking, Known, improved, latest, taught
 from hiprl.world.build import world_from
 from tests.whole.tasks import TINY
 
@@ -47,9 +51,9 @@ class Judge(threading.Thread):
         return -float(np.abs(states).mean())
 
 
-def begun(path: str, seed: int = 3) -> str:
+def begun(path: str, config: Config = CONFIG) -> str:
     with open_store(path) as store:
-        return start(store, world_from("linear"), RunSpec(seed=seed, config=CONFIG, judge=PEOPLE))
+        return start(store, world_from("linear"), RunSpec(seed=3, config=config, judge=PEOPLE))
 
 
 def teach(path: str, run_id: str, **more) -> dict:
@@ -152,6 +156,66 @@ def test_a_trainer_that_was_stopped_goes_on_with_every_answer(tmp_path):
         assert after[: len(before)] == before and len({row.k for row in after}) == CONFIG.comparisons
     with pytest.raises(InputError, match="is finished"):
         teach(path, run_id)
+
+
+def asking_of(store: Store, run_id: str) -> Asking:
+    """Asking of a run that has random episodes only; its threads are not started."""
+    world, row, spec = world_from("linear"), store.run(run_id), spec_of(store, run_id)
+    run, key = latest(store, run_id, world, spec), jr.key(7)
+    for number in range(1, 4):
+        tau = world.roll_out(Uniform(jnp.ones(()), world.q), key=jr.fold_in(key, number))
+        store.add_trajectory(run_id, number, tau, "random")
+        run = eqx.tree_at(lambda run: run.T, run, run.T.add(tau))
+    return Asking(store, row, spec.config, Known(run), key=key)
+
+
+def test_the_next_pair_waits_for_no_fit_and_the_last_pairs_for_something_new(tmp_path):
+    path = str(tmp_path / "runs.db")
+    run_id = begun(path)
+    with open_store(path) as store:
+        asking = asking_of(store, run_id)
+        for k in range(1, 5):  # nothing of it is taken in meanwhile
+            asking.ask()
+            assert store.claim(run_id, "ada").k == k
+            asking.ask()
+            assert len(store.questions(run_id)) == min(k + OPEN, 4)  # a third of six is kept
+            store.answer(run_id, k, level(2, 5), "ada")
+        asking.ask()
+        assert store.claim(run_id, "ada") is None and asking.known.answers == 0
+        asking.listen()
+        assert asking.known.answers == 4 and asking.most() == 4
+        asking.trainer_waits = True  # nothing new comes before the next answer
+        asking.ask()
+        assert asking.most() == 6 and store.claim(run_id, "ada").k == 5
+
+
+def test_there_is_a_pair_for_each_who_looks(tmp_path):
+    path = str(tmp_path / "runs.db")
+    run_id = begun(path)
+    with open_store(path) as store:
+        asking = asking_of(store, run_id)
+        for name in ("ada", "bo"):
+            asking.ask()
+            assert store.claim(run_id, name) is not None
+        asking.ask()
+        assert store.unseen(run_id) == OPEN and len(store.questions(run_id)) == 2 + OPEN
+
+
+def test_the_first_pair_is_there_before_the_warm_up_is_over(tmp_path):
+    path = str(tmp_path / "runs.db")
+    run_id = begun(path, replace(CONFIG, warm_up=SEEN + 2))
+
+    def look(facts):
+        if facts["k"] == SEEN:
+            until = time.monotonic() + 120
+            with open_store(path) as store:
+                while not store.questions(run_id) and time.monotonic() < until:
+                    time.sleep(0.05)
+                assert store.questions(run_id)
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        teach(path, run_id, watch=look)
 
 
 def test_next_to_nothing_is_no_news():

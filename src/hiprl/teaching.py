@@ -1,13 +1,13 @@
 """Learns from people, whose answers come through the store, whenever they like.
 
-Two things go on at the same time. One practises: it searches, executes and learns the world, and never waits for an
-answer. The other asks: it takes new answers in, learns the reward again, and sees to it that a few questions are open,
-so that nobody who answers waits for a search. They meet in `Known`; trainer and page meet in the store only.
+Three things go on at the same time. One practises: it searches, executes and learns the world, and never waits for an
+answer. One sees to it that questions are open that nobody looks at yet, so that nobody who answers waits for a search
+or a fit. One takes new answers in and learns the reward again. They meet in `Known`; trainer and page meet in the store
+only.
 """
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections import Counter
@@ -16,12 +16,15 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
+from jaxtyping import Array, Float
 
 from hiprl.algorithm import BEGINNING, Run, attempt, begin, lived, scored
 from hiprl.config import Config
 from hiprl.data.preference import Clip, Preferences
+from hiprl.data.trajectory_set import Trajectories
 from hiprl.feedback.questions import pick_clips
 from hiprl.models.estimate import estimate_reward
 from hiprl.models.quality import shapes
@@ -47,9 +50,10 @@ from hiprl.store.store import Store
 from hiprl.types import Key
 from hiprl.world.task import World
 
-OPEN = 3  # questions that wait for an answer at a time
-ROUNDS = 3  # in which questions are asked: within one, nobody waits for the next pair
-REHEARSALS = 3  # episodes of practice before each further round, so that it is about new things
+OPEN = 2  # questions that nobody looks at yet, besides those that somebody does
+SEEN = 3  # episodes that there are before the first question
+KEPT = 3  # one question in so many, the last ones, is kept until there is something new to ask about
+REHEARSALS = 3  # episodes of practice that are something new
 FIRST = 4  # answers before the first search: by fewer, anything could be wanted
 AGAIN = 6  # one question in so many is one that was answered, for another judge: do they agree?
 TRIES = 10  # to find a question that was not asked before
@@ -60,7 +64,7 @@ ASKING = BEGINNING - 1  # folded into the run's key for questions; no run has as
 
 
 class Known:
-    """What is known at this moment. Each of the two threads changes its own parts."""
+    """What is known at this moment. Each thread changes its own parts."""
 
     def __init__(self, run: Run):
         self._run = run
@@ -85,7 +89,7 @@ class Known:
 
 
 class Asking:
-    """Takes answers in and keeps questions open, until as many were asked as the run is to have."""
+    """Keeps questions open until as many were asked as the run is to have, and takes answers in."""
 
     def __init__(self, store: Store, row: RunRow, config: Config, known: Known, *, key: Key):
         self.store, self.row, self.config, self.known, self.key = store, row, config, known, key
@@ -97,47 +101,55 @@ class Asking:
         self.opinions: dict[str, Any] = {}
         """Who answered, and how often each errs, where there are several."""
         self.trainer_waits = False
-        """Whether nothing is tried before the next answer: then no round waits for it."""
+        """Whether nothing is tried before the next answer: then no question is kept for later."""
         self.stop = threading.Event()
         self.failed: BaseException | None = None
         self._seen: dict[int, Any] = {}
-        self._thread = threading.Thread(target=self._go_on, name="asking", daemon=True)
+        turns = {"asking": self.ask, "listening": self.listen}
+        self._threads = [threading.Thread(target=self._go_on, args=(turns[name],), name=name) for name in turns]
 
     def __enter__(self) -> Asking:
-        self.turn()
-        self._thread.start()
+        for thread in self._threads:
+            thread.daemon = True  # a trainer that is killed does not wait for it
+            thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self.stop.set()
-        self._thread.join()
+        for thread in self._threads:
+            thread.join()
 
-    def _go_on(self) -> None:
+    def _go_on(self, turn: Callable[[], None]) -> None:
         try:
+            turn()
             while not self.stop.wait(LOOK):
-                self.turn()
-        except BaseException as error:  # told by the other thread, which everybody listens to
+                turn()
+        except BaseException as error:  # told by the thread that practises, which everybody listens to
             self.failed = error
 
-    def turn(self) -> None:
-        """Looks once."""
+    def listen(self) -> None:
+        """Takes in what was answered since the last time."""
         questions = self.store.questions(self.row.id)
         answered = {question.k: question.answer for question in questions if question.answer is not None}
         if answered != self._seen:
             self._take_in(questions, new=[k for k, said in answered.items() if self._seen.get(k) != said])
             self._seen = answered
-        waiting, asked = len(questions) - len(answered), len(questions)
-        before = {frozenset(question.clips) for question in questions}
-        most = self.config.comparisons
-        if not self.trainer_waits:
-            rounds = 1 + int(np.sum(self.known.run.archive.filled)) // REHEARSALS
-            most = min(most, rounds * max(FIRST, math.ceil(most / ROUNDS)))
-        while waiting < OPEN and asked < most and not self.stop.is_set():
+
+    def ask(self) -> None:
+        """Asks until enough is open, with what is known by now: a newer r̂ is not waited for."""
+        questions = self.store.questions(self.row.id)
+        asked, before = len(questions), {frozenset(question.clips) for question in questions}
+        while asked < self.most() and self.store.unseen(self.row.id) < OPEN and not self.stop.is_set():
             new = self._ask_again(asked + 1, questions) or self._ask(asked + 1, before)
             if new is None:
                 break
-            asked, waiting = asked + 1, waiting + 1
+            asked += 1
             before.add(new)
+
+    def most(self) -> int:
+        """How many questions may be asked by now: the last are about what it tried because of the first."""
+        K, tried = self.config.comparisons, int(np.sum(self.known.run.archive.filled))
+        return K if tried >= REHEARSALS or self.trainer_waits else min(K, max(FIRST, K - K // KEPT))
 
     def _take_in(self, questions: list[QuestionRow], *, new: list[int]) -> None:
         run = self.known.run
@@ -179,12 +191,19 @@ class Asking:
 
 def sides_of(run: Run, questions: list[QuestionRow]) -> dict[int, float]:
     """For each answered question, 1 where r̂ is of the judge's opinion, 0 where not, NaN where there is none."""
-    found = {}
-    for question in questions:
-        if question.answer is not None:
-            first, last = (run.T.clip(clip_of(question, i)) for i in (0, -1))
-            found[question.k] = foreseen(question.answer, float(run.reward.gap(first, last).mean))
-    return found
+    answered = [question for question in questions if question.answer is not None]
+    filled = answered + answered[:1] * (run.P.capacity - len(answered))  # one shape, one compilation
+    if not answered:
+        return {}
+    first, last = (jax.tree.map(lambda *x: jnp.stack(x), *(clip_of(one, i) for one in filled)) for i in (0, -1))
+    predicted = np.asarray(gaps(run.T, run.reward, first, last))
+    return {one.k: foreseen(one.answer, float(g)) for one, g in zip(answered, predicted, strict=False) if one.answer}
+
+
+@jax.jit
+def gaps(T: Trajectories, reward: EstimatedReward, first: Clip, last: Clip) -> Float[Array, " n"]:
+    """By how much each of the first clips is better by r̂ than the last one beside it."""
+    return jax.lax.map(lambda pair: reward.gap(T.clip(pair[0]), T.clip(pair[1])).mean, (first, last))
 
 
 def clip_of(question: QuestionRow, i: int) -> Clip:
@@ -222,7 +241,7 @@ def taught(
         scene = world.start_filming()
         store.set_scene(run_id, scene or states_only(world))
         known = Known(latest(store, run_id, world, spec))
-        while int(known.run.T.count) < config.warm_up:
+        while int(known.run.T.count) < min(SEEN, config.warm_up):
             practised(store, run_id, known, world, config, None, watch, key=key)
         with Asking(store, row, config, known, key=jr.fold_in(key, ASKING)) as asking:
             idle, heard, waits = 0, known.answers, ""
@@ -233,7 +252,8 @@ def taught(
                 room = int(known.run.T.count) < known.run.T.capacity
                 if heard >= config.comparisons and (idle >= PRACTICE or not room):
                     break
-                few = heard < min(FIRST, config.comparisons)
+                warm = int(known.run.T.count) >= config.warm_up
+                few = warm and heard < min(FIRST, config.comparisons)
                 pauses = few or idle >= PRACTICE or not room
                 asking.trainer_waits = pauses and not few
                 before, waits = waits, "" if not pauses else "the first answers" if few else "an answer"
@@ -243,7 +263,7 @@ def taught(
                     time.sleep(LOOK)
                     continue
                 practised(store, run_id, known, world, config, asking, watch, key=key)
-                idle = 0 if news(known.run) else idle + 1
+                idle = 0 if not warm or news(known.run) else idle + 1
                 lease.renew()
         return conclude(store, run_id, known.run, world, spec, key=key)
 

@@ -383,6 +383,21 @@ def test_an_answer_to_nothing_is_refused(store: Store, run_id: str):
             store.answer(run, 3, a_number(1.0), "Ada")
 
 
+def test_what_nobody_looks_at_is_counted(store: Store, run_id: str):
+    other = store.add_run("Hopper-v5", 8, {}, {})
+    for one in (run_id, other):
+        with_two_trajectories(store, one)
+        for k in (1, 2, 3):
+            store.ask(one, k, pair(0, 1))
+    assert store.unseen(run_id) == 3
+    store.claim(run_id, "ada")
+    assert (store.unseen(run_id), store.unseen(other)) == (2, 3)
+    store.claim(run_id, "bo", seconds=-1.0)  # who has gone away
+    assert store.unseen(run_id) == 2
+    store.answer(run_id, 3, choice(True), "cy")
+    assert store.unseen(run_id) == 1
+
+
 def test_answers_from_many_threads_are_all_kept(store: Store, run_id: str):
     with_two_trajectories(store, run_id)
     store.ask(run_id, 1, pair(0, 1))

@@ -39,7 +39,7 @@ from hiprl.store.schema import (
     scenes,
     trajectories,
 )
-from hiprl.store.turns import taken
+from hiprl.store.turns import taken, untaken
 
 _LONGEST = 2**63 - 1  # of an integer in either database
 
@@ -300,6 +300,11 @@ class Store:
         with self._database.writing() as connection:
             lock_run(connection, run_id, self.name)
             return taken(connection, run_id, judge, seconds=seconds)
+
+    def unseen(self, run_id: str) -> int:
+        """How many open questions of a run no judge looks at just now."""
+        with self._database.reading() as connection:
+            return untaken(connection, run_id)
 
     def answer(self, run_id: str, k: int, answer: Answer, judge: str, *, swapped: bool = False) -> bool:
         """Keep an answer to episode k's question; it replaces earlier ones, which stay to be seen.

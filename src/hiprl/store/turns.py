@@ -34,3 +34,10 @@ def taken(connection: sa.Connection, run_id: str, judge: str, *, seconds: float)
     until = now + timedelta(seconds=seconds)
     connection.execute(sa.insert(claims).values(question_id=row.id, judge=judge, expires_at=until))
     return QuestionRow.read(row)
+
+
+def untaken(connection: sa.Connection, run_id: str) -> int:
+    """How many open questions nobody looks at."""
+    free = (claims.c.question_id.is_(None)) | (claims.c.expires_at < datetime.now(UTC))
+    query = sa.select(sa.func.count()).select_from(questions.outerjoin(claims).outerjoin(answers))
+    return connection.execute(query.where(questions.c.run_id == run_id, answers.c.id.is_(None), free)).scalar_one()
