@@ -126,7 +126,7 @@ def estimate_from_answers(
 
 def kinds_in(P: Preferences) -> set[Kind]:
     """Kinds of the answers there are. Not to be traced."""
-    return {Kind(int(kind)) for kind in P.said.kind[: int(P.count)]}
+    return {Kind(int(kind)) for kind in np.asarray(P.said.kind)[: int(P.count)]}
 
 
 def compared(T: Trajectories, P: Preferences) -> tuple[AdditiveFeatures, Float[Array, "K J D"]]:

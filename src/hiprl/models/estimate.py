@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
+import numpy as np
+
 from hiprl.data.preference import Preferences
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import InputError
@@ -48,6 +50,6 @@ def estimate_reward(
         return estimate_network_reward(P, T, before, config)
     if numbers:
         return estimate_additive_reward(P, T, config, steps=steps)
-    several = len({int(judge) for judge in P.judge[: int(P.count)]}) > 1
+    several = len(np.unique(np.asarray(P.judge)[: int(P.count)])) > 1  # by NumPy: JAX would compile for each count
     reward, _ = estimate_from_answers(P, T, config.smooth, learn_mistakes=several)
     return reward
