@@ -178,7 +178,7 @@ def test_the_next_pair_waits_for_no_fit_and_the_last_pairs_for_something_new(tmp
             asking.ask()
             assert store.claim(run_id, "ada").k == k
             asking.ask()
-            assert len(store.questions(run_id)) == min(k + OPEN, 4)  # a third of six is kept
+            assert len(store.questions(run_id)) == min(k + OPEN, 4)  # half of them are kept, but for the first four
             store.answer(run_id, k, level(2, 5), "ada")
         asking.ask()
         assert store.claim(run_id, "ada") is None and asking.known.answers == 0

@@ -52,7 +52,7 @@ from hiprl.world.task import World
 
 OPEN = 2  # questions that nobody looks at yet, besides those that somebody does
 SEEN = 3  # episodes that there are before the first question
-KEPT = 3  # one question in so many, the last ones, is kept until there is something new to ask about
+KEPT = 0.5  # share of the questions, the last ones, that is kept until there is something new to ask about
 REHEARSALS = 3  # episodes of practice that are something new
 FIRST = 4  # answers before the first search: by fewer, anything could be wanted
 AGAIN = 6  # one question in so many is one that was answered, for another judge: do they agree?
@@ -149,7 +149,7 @@ class Asking:
     def most(self) -> int:
         """How many questions may be asked by now: the last are about what it tried because of the first."""
         K, tried = self.config.comparisons, int(np.sum(self.known.run.archive.filled))
-        return K if tried >= REHEARSALS or self.trainer_waits else min(K, max(FIRST, K - K // KEPT))
+        return K if tried >= REHEARSALS or self.trainer_waits else min(K, max(FIRST, K - int(KEPT * K)))
 
     def _take_in(self, questions: list[QuestionRow], *, new: list[int]) -> None:
         run = self.known.run

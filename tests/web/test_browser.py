@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -15,6 +18,7 @@ from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, level
 from hiprl.store.store import Store
 from hiprl.web.shown import turned
 from tests.web.made import a_taught_run
+from tests.web.trainer import CONFIG, begun
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is here (Debian: apt-get install chromium)")
 PATIENCE = 60_000  # milliseconds, on a machine that does other things too
@@ -147,6 +151,84 @@ def test_an_answer_is_changed_in_review(served: Served):
     while len(served.store.answers(served.run_id)) < 2 and time.monotonic() < until:
         page.wait_for_timeout(100)
     assert [row.answer for row in served.store.answers(served.run_id)][1:] == [level(0, 5)]
+
+
+@contextmanager
+def trained(path: str, run_id: str) -> Iterator[subprocess.Popen]:
+    """A trainer in a process of its own, which is killed at the end if not before."""
+    process = subprocess.Popen([sys.executable, "-m", "tests.web.trainer", path, run_id])
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.slow
+def test_a_trainer_that_is_killed_loses_nothing_and_the_page_goes_on(made: str, store: Store, browser: Any):
+    run_id = begun(store)
+    store.set_goal(run_id, "go to the middle")
+    with started("serve", "--store", made, "--port", "8700") as page:
+        served = Served(browser, page.address, page.said, store, run_id)
+        with trained(made, run_id) as trainer:
+            until(lambda: store.scene(run_id) is not None)
+            tab = served.tab("/teach")
+            for key in ("1", "5"):
+                served.press(tab, key)
+            served.shown(tab)
+            trainer.kill()  # as by kill -9: it can do nothing about it
+            trainer.wait()
+        served.press(tab, "2")  # what is open can be answered without it
+        before = store.answers(run_id)
+        tab.reload()
+        with trained(made, run_id) as trainer:
+            until(lambda: answered(served, tab) or trainer.poll() is not None)
+            assert trainer.wait(PATIENCE) == 0
+        after = store.answers(run_id)
+        assert len(before) == 3 and after[:3] == before
+        assert {row.k for row in after} == set(range(1, CONFIG.comparisons + 1)) and {row.judge for row in after} == {
+            "ada"
+        }
+        assert store.final(run_id)["comparisons"] == CONFIG.comparisons
+        tab.wait_for_selector("#teach[data-mode=finished]")
+        assert f"{CONFIG.comparisons} of {CONFIG.comparisons} answers" in tab.inner_text("#count")
+        served.contexts[0].close()
+        assert not served.troubles
+
+
+def answered(served: Served, tab: Any) -> bool:
+    """Whether a run has all its answers, after what is shown was looked at and answered."""
+    shown = tab.get_attribute("#teach", "data-question")
+    tab.wait_for_timeout(1000)  # what has just come by itself takes no answer yet
+    if shown is not None and tab.get_attribute("#teach", "data-question") == shown:
+        served.press(tab, "4")
+    return served.store.asked(served.run_id) == (CONFIG.comparisons, CONFIG.comparisons)
+
+
+def until(holds: Callable[[], bool]) -> None:
+    """Waits for something to hold."""
+    end = time.monotonic() + 5 * PATIENCE / 1000
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.1)
+
+
+def test_while_there_is_nothing_new_a_doubtful_answer_is_looked_at_again(served: Served):
+    page = served.tab("/teach")
+    done = [served.press(page, "1") for _ in range(6)]
+    page.wait_for_selector("#teach[data-mode=waiting]")
+    assert page.is_visible("#to-review a")
+    served.store.finish_episode(served.run_id, 1, {"k": 1, "disagrees": [done[2]]}, b"1")
+    page.wait_for_function("k => document.getElementById('teach').dataset.question == k", arg=str(done[2]))
+    assert "would say otherwise" in page.inner_text("#again-text")
+    served.store.ask(served.run_id, 7, served.store.questions(served.run_id)[0].clips[::-1])
+    arrived = "k => document.getElementById('teach').dataset.question == k"
+    page.wait_for_function(arrived, arg="7")  # what is new comes by itself
+    assert not page.is_visible("#again")
+    page.wait_for_timeout(1000)  # a key that was meant for the other pair does not count
+    assert served.press(page, "5") == 7
+    assert as_shown(served.store, served.run_id, 7) == level(-2, 5)
+    assert len(served.store.answers(served.run_id)) == 7
 
 
 def test_progress_and_the_list_of_runs_are_there(served: Served):

@@ -9,6 +9,7 @@ import { foreseen, helping, meanwhile, names, said, whenStacked } from "./words.
 
 const POLL = 1000; // milliseconds between looks for a question
 const LINGER = 600; // the old pair stays so long before the page says that it waits
+const SETTLE = 800; // a pair that came by itself takes no answer for so long: it was meant for the one before
 
 export async function teach(run) {
   early();
@@ -21,6 +22,9 @@ class Teaching {
     this.question = null; // as the server gave it
     this.flipped = false; // sides swapped here, on top of the server's
     this.again = false; // an earlier answer is being changed
+    this.second = false; // one that it would give otherwise, shown while there is nothing new
+    this.looked = new Set(); // numbers of those that were shown so
+    this.settled = 0; // when answers count again
     this.busy = false;
     this.answered = null; // number of the question answered last
     this.asking = 0; // counts looks for a question: only the newest counts
@@ -45,7 +49,7 @@ class Teaching {
     }
     this.api.events((progress) => {
       this.progress(progress);
-      if (this.question || this.busy) return;
+      if ((this.question && !this.second) || this.busy) return;
       if (this.#wake) this.#wake();
       else if (find("teach").dataset.mode === "finished" && progress.state !== "finished") this.next();
     });
@@ -59,7 +63,7 @@ class Teaching {
   async next({ announceIt = true } = {}) {
     const mine = ++this.asking;
     const began = performance.now();
-    this.again = false;
+    this.again = this.second = false;
     find("again").hidden = true;
     let waited = false;
     while (mine === this.asking) {
@@ -75,7 +79,10 @@ class Teaching {
       this.calm();
       this.progress(got.progress);
       const question = got.question;
-      if (question && question.k !== this.answered) {
+      if (question && question.k !== this.answered && !(this.second && this.busy)) {
+        if (this.second) this.settled = performance.now() + SETTLE;
+        this.again = this.second = false;
+        find("again").hidden = true;
         this.show(question);
         if (announceIt) {
           const { answers, planned } = got.progress;
@@ -84,13 +91,41 @@ class Teaching {
         }
         return;
       }
-      if (performance.now() - began > LINGER || !this.player.clips.length || got.progress.state === "finished") {
+      if (this.second && got.progress.state === "finished" && !this.busy) {
+        this.again = this.second = false;
+        this.question = null;
+        find("again").hidden = true;
+      }
+      if (!this.second && (performance.now() - began > LINGER || !this.player.clips.length || got.progress.state === "finished")) {
         this.wait(got.progress);
         waited = true;
       }
       if (got.progress.state === "finished") return;
+      if (waited && !this.second) await this.#lookAgain(mine);
       await this.#sleep(waited ? POLL : 150);
     }
+  }
+
+  /** While there is nothing new: shows a pair about which it is of another opinion. */
+  async #lookAgain(mine) {
+    if (!this.state?.answers) return;
+    let question;
+    try {
+      const past = await this.api.answers();
+      const found = past.find((a) => a.judge === judge() && a.agrees === false && !this.looked.has(a.k));
+      if (!found) return;
+      ({ question } = await this.api.question(found.k));
+    } catch {
+      return; // the next look for a question tells of it
+    }
+    if (mine !== this.asking || this.busy) return;
+    this.looked.add(question.k);
+    this.again = this.second = true;
+    this.show(question);
+    const words = `You said: ${said(question.answer, question.clips.length)}. It would say otherwise: look again, while it tries something new?`;
+    write(find("again-text"), words);
+    find("again").hidden = false;
+    announce(words);
   }
 
   #wake = null;
@@ -140,7 +175,7 @@ class Teaching {
   }
 
   async answer(answer) {
-    if (!this.question || this.busy || !this.player) return;
+    if (!this.question || this.busy || !this.player || performance.now() < this.settled) return;
     const { k, swapped, clips } = this.question;
     this.busy = this.strip.busy = true;
     this.strip.mark(answer);
@@ -190,6 +225,7 @@ class Teaching {
     }
     this.asking++; // whoever looks for the next question stops
     this.again = true;
+    this.second = false;
     this.answered = null;
     this.told("", false);
     this.show(question);
@@ -223,6 +259,7 @@ class Teaching {
     find("answers").hidden = mode !== "asking";
     find("meanwhile").hidden = mode !== "waiting" && mode !== "finished";
     find("to-progress").hidden = mode !== "finished";
+    find("to-review").hidden = mode !== "waiting" || !this.state?.answers;
     find("small").hidden = mode !== "asking";
     if (mode !== "asking") delete main.dataset.question;
   }
@@ -231,6 +268,7 @@ class Teaching {
     const [title, text] = meanwhile(progress);
     const fresh = find("teach").dataset.mode === "asking" || find("teach").dataset.mode === "loading";
     this.mode(progress.state === "finished" ? "finished" : "waiting");
+    this.busy = this.strip.busy = false;
     this.#dim(false);
     write(find("meanwhile-title"), title);
     write(find("meanwhile-text"), text);
