@@ -33,7 +33,7 @@ class Waits(NamedTuple):
     answers: list[float]
 
 
-def filled(where: str, questions: int) -> str:
+def filled(where: str, questions: int, *, env: str = ENV) -> str:
     """A run with films of random actions and so many open questions; gives its id."""
     import jax.numpy as jnp
     import jax.random as jr
@@ -45,20 +45,22 @@ def filled(where: str, questions: int) -> str:
     from hiprl.store.store import open_store
     from hiprl.world.build import world_from
 
-    world = world_from(ENV)
+    world = world_from(env)
     scene = world.start_filming()
     draw = random.Random(0)
     with open_store(where) as store:
         spec = {"config": to_plain(teachable(Config())), "horizon": world.H, "judge": PEOPLE}
-        run_id = store.add_run(ENV, 0, spec, {})
+        run_id = store.add_run(env, 0, spec, {})
         store.set_scene(run_id, scene)
         store.set_goal(run_id, "run forwards")
+        lengths = []
         for i in range(EPISODES):
             tau = world.roll_out(Uniform(jnp.ones(()), world.q), key=jr.key(i))
             store.add_trajectory(run_id, i, tau, "random", film=world.film.to_bytes())
+            lengths.append(int(tau.length))
         for k in range(1, questions + 1):
             one, other = draw.sample(range(EPISODES), 2)
-            clips = [ClipRow(i, draw.randrange(world.H - CLIP), CLIP) for i in (one, other)]
+            clips = [ClipRow(i, draw.randrange(max(lengths[i] - CLIP, 1)), CLIP) for i in (one, other)]
             store.ask(run_id, k, clips)
     return run_id
 

@@ -24,6 +24,8 @@ PROGRAMS = (
     "linear",
     "crash",
     "judges",
+    "paint",
+    "taught",
 )
 
 
