@@ -31,6 +31,8 @@ PASSWORD = "HIPRL_PASSWORD"
 """Of the page, in the environment: a command line is for all to see."""
 WITH_PARENT = "HIPRL_WITH_PARENT"
 """Set where the page is to end with the process that began it: when its input ends."""
+TRACEBACK = "HIPRL_TRACEBACK"
+"""Set where what goes wrong in a request is to be seen here too: any program that hangs up too soon is such a thing."""
 TRIED_PORTS = 20
 LOOKING = 75  # seconds that a line stays open for the next answer: a person looks at a pair for longer than a script
 
@@ -55,7 +57,7 @@ def serve(command: Serve) -> Facts:
         app = app_of(store, doors, hosts=hosts, pictures=drawings(store))
         quietly = uvicorn.Config(
             app,
-            log_level="error",
+            log_level="error" if os.environ.get(TRACEBACK, "") not in ("", "0") else "critical",
             server_header=False,
             timeout_keep_alive=LOOKING,
             timeout_graceful_shutdown=1,
