@@ -70,7 +70,7 @@ def coverage(form: str, answers: int, room: int, *, bent: bool, kappa: float, se
             Given(said(form, u, kappa, rng), [(int(a), int(b), CLIP) for a, b in zip(i, t, strict=True)], 0, N)
         )
     P = Preferences.of(given, room, m=max(2, CLIPS.get(form, 2)))
-    reward, errors = estimate_from_answers(P, T, AdditiveConfig().smooth)
+    reward, errors = estimate_from_answers(P, T, AdditiveConfig().kernels)
     i, t = rng.integers(N, size=(PAIRS, 2)), rng.integers(H - CLIP + 1, size=(PAIRS, 2))
     true = of(C, i, t) / whole
     true = true[:, 0] - true[:, 1]

@@ -43,7 +43,8 @@ def accuracies(path: Path, pick: str, judge: str, after: list[int], *, seed: int
         T = evidence_of(store, store.runs()[0])[0]
     config = QuestionConfig(clip=CLIP, pick=pick, levels=2)
     key, judging = jr.key(seed), judge_from(judge)
-    pairs = drawn(T, QuestionConfig(clip=CLIP, candidates=PAIRS), key=jr.fold_in(key, 1 << 20))
+    held_out = drawn(T, QuestionConfig(clip=CLIP, candidates=PAIRS), key=jr.fold_in(key, 1 << 20))
+    pairs = held_out.clips_of(held_out.shown)
     paid = np.asarray(jax.vmap(jax.vmap(lambda clip: T.clip(clip).true_return))(pairs))
 
     def in_order(reward: AdditiveReward) -> float:

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -11,8 +12,9 @@ from hiprl.data.answer import choice
 from hiprl.data.preference import Clip, Preferences
 from hiprl.errors import InputError
 from hiprl.feedback import questions
-from hiprl.feedback.questions import QuestionConfig, expected_information, information, pick_clips
+from hiprl.feedback.questions import QuestionConfig, Questions, expected_information, information, pick_clips
 from hiprl.models.answers import estimate_from_answers
+from hiprl.models.features import Kernel
 from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
 from tests.models.worlds import linear_set
 
@@ -31,12 +33,17 @@ def reward(T):
     for k in range(6):
         clips = [Clip.at(k, k, STEPS), Clip.at(k + 1, 2 * k, STEPS)]
         P = P.answered(choice(k % 3 > 0), clips, at_hand=jnp.asarray(9, jnp.int32))
-    return estimate_from_answers(P, T, (0.1,))[0]
+    return estimate_from_answers(P, T, (Kernel(0.1, 4.0),))[0]
 
 
 @pytest.fixture(scope="module")
 def blank(T):
     return estimate_additive_reward(Preferences.empty(13), T, AdditiveConfig(), steps=16)
+
+
+def made_of(clips):
+    """Questions that each show two clips of their own."""
+    return Questions(jax.tree.map(lambda x: x.reshape(-1), clips), jnp.arange(clips.of.size).reshape(clips.of.shape))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -70,22 +77,31 @@ def test_the_question_picked_is_worth_most(T, reward):
     picked = pick_clips(T, reward, config, key=jr.key(3))
     rng = np.random.default_rng(0)
     of, start = rng.integers(0, 9, (200, 2)), rng.integers(0, H - STEPS, (200, 2))
-    others = Clip(jnp.asarray(of), jnp.asarray(start), jnp.full((200, 2), STEPS))
-    best = float(worth(jax.tree.map(lambda x: x[None], picked))[0])
+    others = made_of(Clip.at(jnp.asarray(of), jnp.asarray(start), STEPS))
+    best = float(worth(made_of(jax.tree.map(lambda x: x[None], picked)))[0])
     assert best > np.quantile(np.asarray(worth(others)), 0.8)
 
 
-def test_differences_are_the_same_however_they_are_summed(T, reward, monkeypatch):
-    clips = questions.drawn(T, TELLING, key=jr.key(4))
-    assert T.capacity * H <= clips.of.size * STEPS
-    by_prefix = questions.differences(T, reward.features, clips, TELLING)
-    monkeypatch.setattr(questions, "LARGEST", 0)
-    np.testing.assert_allclose(questions.differences(T, reward.features, clips, TELLING), by_prefix, atol=1e-3)
+def test_what_is_known_of_a_question_is_what_the_reward_says_of_its_clips(T, reward):
+    config = replace(TELLING, levels=None)  # then the worth is the log of σ_g
+    asked = questions.drawn(T, config, key=jr.key(4))
+    worth = np.asarray(information(T, reward, asked, config))
+    for i in np.flatnonzero(np.isfinite(worth))[:5]:
+        first, second = (T.clip(jax.tree.map(lambda x: x[k], asked.clips)) for k in asked.shown[i])  # noqa: B023
+        assert worth[i] == pytest.approx(np.log(reward.gap(first, second).sigma), abs=1e-2)
+
+
+def test_aligned_questions_are_about_the_newest_and_the_best(T, reward):
+    best = int(np.argmax(np.asarray(reward.returns(T))[:9]))
+    for items in (2, 4):
+        config = replace(TELLING, aligned=1.0, items=items)
+        of = pick_clips(T, reward, config, key=jr.key(items)).of
+        assert of.tolist() == [9, best] * (items // 2)
 
 
 def test_a_clip_is_never_compared_with_itself(T, reward):
-    clips = Clip(jnp.asarray([[2, 2], [2, 2], [2, 3]]), jnp.asarray([[4, 9], [1, 15], [4, 4]]), jnp.full((3, 2), STEPS))
-    worth = np.asarray(information(T, reward, clips, TELLING))
+    clips = Clip.at(jnp.asarray([[2, 2], [2, 2], [2, 3]]), jnp.asarray([[4, 9], [1, 15], [4, 4]]), STEPS)
+    worth = np.asarray(information(T, reward, made_of(clips), TELLING))
     assert worth[0] == -np.inf and np.isfinite(worth[1:]).all()
 
 

@@ -11,9 +11,10 @@ import pytest
 from hiprl.data.answer import choice
 from hiprl.data.preference import Clip, Preferences
 from hiprl.feedback import worth as module
-from hiprl.feedback.questions import QuestionConfig, differences, drawn
+from hiprl.feedback.questions import QuestionConfig, apart, drawn, phi_of
 from hiprl.feedback.worth import seen, worth
 from hiprl.models.answers import estimate_from_answers
+from hiprl.models.features import Kernel
 from tests.models.worlds import linear_set
 
 H, N, STEPS, DRAWS = 31, 13, 11, 200_000
@@ -30,7 +31,7 @@ def reward(T):
     for k in range(3):
         clips = [Clip.at(k, k, STEPS), Clip.at(k + 1, 2 * k, STEPS)]
         P = P.answered(choice(k % 2 > 0), clips, at_hand=jnp.asarray(7, jnp.int32))
-    return estimate_from_answers(P, T, (0.1,))[0]
+    return estimate_from_answers(P, T, (Kernel(0.1, 4.0),))[0]
 
 
 @pytest.fixture(autouse=True)
@@ -54,9 +55,8 @@ def by_draws(T, reward, config, answers):
     Phi, there = (np.asarray(x) for x in seen(T, reward))
     R = theta @ Phi[there].T
     rng, gains = np.random.default_rng(2), []
-    psi = np.asarray(
-        differences(T, reward.features, drawn(T, replace(config, candidates=7), key=jr.key(3)), config)[:, 0]
-    )
+    asked = drawn(T, replace(config, candidates=7), key=jr.key(3))
+    psi = np.asarray(apart(phi_of(T, reward.features, asked.clips, config), asked.shown)[:, 0])
     for one in psi:
         said = answers(theta @ one, rng)
         after = [(np.mean(said == x), R[said == x].mean(axis=0).max()) for x in np.unique(said)]

@@ -8,11 +8,12 @@ import pytest
 from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, level, number, ranking, rating, slider
 from hiprl.data.preference import Clip, Preferences
 from hiprl.models.answers import estimate_from_answers
+from hiprl.models.features import Kernel
 from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
 from tests.models.worlds import linear_set, steps_of
 
 H, N, K, STEPS = 31, 17, 37, 11
-SMOOTH = (0.01,)
+KERNELS = (Kernel(0.01, 4.0),)
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +76,7 @@ def answered(T, forms, *, n=K, seed=0, m=4, judge=lambda k: 0, turn=lambda k: Fa
 
 @pytest.fixture(scope="module")
 def estimated():
-    return lambda P, T, **more: estimate_from_answers(P, T, SMOOTH, **more)
+    return lambda P, T, **more: estimate_from_answers(P, T, KERNELS, **more)
 
 
 def agreement(reward, T):
@@ -104,7 +105,7 @@ def test_the_reward_is_learned_from_answers_of_all_forms_together(T, estimated):
 def test_numbers_alone_give_what_the_closed_form_gives(T, estimated):
     P = answered(T, ["number"])
     reward, _ = estimated(P, T)
-    exact = estimate_additive_reward(P, T, AdditiveConfig(smooth=SMOOTH, noise=(1e-4,)), steps=16)
+    exact = estimate_additive_reward(P, T, AdditiveConfig(smooth=(0.01,), noise=(1e-4,)), steps=16)
     pair = T.clip(Clip.at(3, 2, STEPS)), T.clip(Clip.at(7, 9, STEPS))
     one, other = reward.gap(*pair), exact.gap(*pair)
     assert float(one.mean) == pytest.approx(float(other.mean), rel=0.02, abs=0.02)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from hiprl.models.features import DEGREE, EIGENVALUES, LENGTHSCALE, mercer
+from hiprl.models.features import INSIDE, REACH, WAVES, Kernel, spectrum, waves
 from hiprl.models.reward import features_of
 from tests.data.samples import clean, p, q, seeds, set_of, trajectory
 
@@ -25,27 +25,28 @@ def phi(features):
     return jax.jit(lambda s, a: features(s, a))
 
 
-def test_the_mercer_functions_reproduce_the_squared_exponential_kernel():
+@pytest.mark.parametrize("length", [0.5, 1.0, 1.5])
+def test_the_waves_reproduce_the_squared_exponential_kernel(length):
     x = np.linspace(-2.5, 2.5, 23)
-    functions = np.asarray(mercer(jnp.asarray(x, jnp.float32)), float)
-    assert functions.shape == (23, DEGREE)
-    kernel = (functions * EIGENVALUES) @ functions.T
-    np.testing.assert_allclose(kernel, np.exp(-((x[:, None] - x) ** 2) / (2 * LENGTHSCALE**2)), atol=2e-3)
+    phi = np.stack(waves(jnp.asarray(x, jnp.float32)), axis=1)
+    assert phi.shape == (23, WAVES)
+    kernel = (phi * spectrum(length)) @ phi.T
+    np.testing.assert_allclose(kernel, np.exp(-((x[:, None] - x) ** 2) / (2 * length**2)), atol=0.05)
 
 
-def test_the_mercer_functions_are_orthonormal_under_a_standard_normal():
-    x, w = np.polynomial.hermite_e.hermegauss(61)
-    functions = np.asarray(jax.jit(mercer)(jnp.asarray(x, jnp.float32)), float)
-    near = np.abs(x) < 6  # further out, the weights are below what float32 can tell
-    gram = (functions[near] * (w / w.sum())[near, None]).T @ functions[near]
-    np.testing.assert_allclose(gram, np.eye(DEGREE), atol=1e-3)
+def test_a_wave_is_a_sine_that_vanishes_where_the_reach_ends():
+    x = np.linspace(-INSIDE, INSIDE, 41)
+    found = np.stack(jax.jit(waves)(jnp.asarray(x, jnp.float32)), axis=1)
+    j = np.arange(1, WAVES + 1)
+    wanted = np.sin(np.pi * j * (x[:, None] + REACH) / (2 * REACH)) / np.sqrt(REACH)
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
 
 
 def test_all_but_the_bias_have_mean_zero_over_what_was_seen(T, features):
     rows = T.transitions()
     seen = np.asarray(jax.vmap(features)(rows.s, rows.a))[np.asarray(rows.mask)]
     np.testing.assert_allclose(seen.mean(0), [1] + [0] * (features.size - 1), atol=1e-4)
-    assert features.size == 1 + (p + q) * (1 + DEGREE) == seen.shape[1]
+    assert features.size == 1 + (p + q) * (1 + WAVES) == seen.shape[1]
 
 
 @given(seeds)
@@ -73,10 +74,8 @@ def test_padding_changes_no_feature(T, features):
 
 
 def test_the_prior_is_as_wide_for_the_bias_as_for_all_the_rest(features):
-    prior = np.asarray(features.prior(jnp.asarray(2.0), jnp.asarray(3.0)))
+    prior = np.asarray(features.prior(Kernel(3.0, 0.5)))
     n = p + q
-    assert prior[0] == n * (2 + 3)
-    np.testing.assert_array_equal(prior[1 : 1 + n], 2)
-    np.testing.assert_allclose(
-        prior[1 + n :].reshape(n, DEGREE), np.broadcast_to(3 * EIGENVALUES, (n, DEGREE)), rtol=1e-6
-    )
+    assert prior[0] == n * (1 + 3)
+    np.testing.assert_array_equal(prior[1 : 1 + n], 1)
+    np.testing.assert_allclose(prior[1 + n :].reshape(n, WAVES), np.tile(3 * spectrum(0.5), (n, 1)), rtol=1e-6)

@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hiprl.data.preference import Preferences
-from hiprl.models.features import EIGENVALUES
+from hiprl.models.features import spectrum
 from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
 from tests.data.samples import answers, clean, p, q
 from tests.models.worlds import linear_set, steps_of
 
 H, N, K = 31, 17, 13
-ONE = AdditiveConfig(smooth=(1.0,), noise=(1e-4,))
-EXACT = AdditiveConfig(smooth=(1.0,), noise=(1e-6,))
+ONE = AdditiveConfig(smooth=(1.0,), lengths=(4.0,), noise=(1e-4,))
+EXACT = AdditiveConfig(smooth=(1.0,), lengths=(4.0,), noise=(1e-6,))
 PAIRS = [(i + 1, (7 * i) % (i + 1)) for i in range(11)]
 
 
@@ -62,7 +62,7 @@ def long_way(reward, T, pairs, g, config):
     Phi = np.array([x[: int(T.rows.length[i])].sum(0) for i, x in enumerate(Phi)])
     Psi = np.array([Phi[i] - Phi[j] for i, j in pairs])
     (smooth,), (share,), n = config.smooth, config.noise, p + q
-    prior = np.concatenate([[n * (1 + smooth)], np.ones(n), np.tile(smooth * EIGENVALUES, n)])
+    prior = np.concatenate([[n * (1 + smooth)], np.ones(n), np.tile(smooth * spectrum(4.0), n)])
     gram = (Psi * prior) @ Psi.T
     noise = share * np.trace(gram) / len(g)
     scale = g @ np.linalg.solve(gram + noise * np.eye(len(g)), g) / len(g)
@@ -168,9 +168,9 @@ def test_marginal_likelihood_prefers_what_predicts_better(T, truth):
     true = np.array(returns_of(new, truth))
 
     def error(smooth):
-        reward = estimate_additive_reward(said(T, truth), T, AdditiveConfig(smooth=smooth, noise=(1e-6,)))
+        reward = estimate_additive_reward(said(T, truth), T, AdditiveConfig(smooth=smooth, lengths=(4.0,), noise=(1e-6,)))
         miss = np.asarray(reward.returns(new))[:11] - true
-        chosen = float(reward.prior[1 + p + q] / reward.prior[1]) / EIGENVALUES[0]
+        chosen = float(reward.prior[1 + p + q] / reward.prior[1]) / spectrum(4.0)[0]
         return np.std(miss), chosen
 
     stiff, free, (both, chosen) = error((1e-3,))[0], error((1e3,))[0], error((1e-3, 1e3))

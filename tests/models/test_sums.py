@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hiprl.data.preference import WHOLE, Clip
-from hiprl.models.reward import clip_sum, clip_sums, features_of
+from hiprl.models.reward import clip_sums, features_of, summed
 from hiprl.models.sums import every_step, values
 from tests.models.worlds import linear_set
 
@@ -36,7 +36,7 @@ def test_many_clips_sum_up_to_what_each_does(T, features):
     )
     found = jax.jit(clip_sums, static_argnames="steps")(features, T, clips, steps=H)
     for i in range(6):
-        one = clip_sum(features, T, jax.tree.map(lambda x: x[i], clips), H)  # noqa: B023
+        one = summed(features, T.clip(jax.tree.map(lambda x: x[i], clips)))  # noqa: B023
         np.testing.assert_allclose(found[i], one, rtol=1e-3, atol=1e-3)
     assert (np.asarray(found[3]) == 0).all() and np.isfinite(found).all()
 

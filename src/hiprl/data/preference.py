@@ -41,14 +41,16 @@ class Clip(eqx.Module):
     """Most steps."""
 
     @classmethod
-    def whole(cls, of: Count | int) -> Clip:
-        """All of a trajectory."""
+    def whole(cls, of: Int[Array, "*n"] | int) -> Clip:
+        """All of a trajectory, or of several."""
         return cls.at(of, 0, WHOLE)
 
     @classmethod
-    def at(cls, of: Count | int, start: Count | int, length: Count | int) -> Clip:
-        """These steps of a trajectory."""
-        return cls(*(jnp.asarray(x, jnp.int32) for x in (of, start, length)))
+    def at(
+        cls, of: Int[Array, "*#n"] | int, start: Int[Array, "*#n"] | int, length: Int[Array, "*#n"] | int
+    ) -> Clip:
+        """These steps of a trajectory, or of several."""
+        return cls(*jnp.broadcast_arrays(*(jnp.asarray(x, jnp.int32) for x in (of, start, length))))
 
 
 class Kind(IntEnum):

@@ -4,26 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from hiprl.data.preference import WHOLE, Clip
-from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import InputError
 from hiprl.models.features import AdditiveFeatures
-from hiprl.models.reward import AdditiveReward, EstimatedReward, clip_sum
+from hiprl.models.reward import AdditiveReward, EstimatedReward, clip_sums
 from hiprl.types import Count, Key, Scalar
 
 Pick: TypeAlias = Literal["uniform", "information"]
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
 """Of the expectation over a standard normal."""
-LARGEST = 1 << 18  # steps whose features may lie side by side: 160 MB for a HalfCheetah
+POOL = 512  # clips of which questions are made: 130,000 pairs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +65,19 @@ class QuestionConfig:
             )
 
 
+class Questions(NamedTuple):
+    """Questions to choose from."""
+
+    clips: Clip
+    """A pool of clips, stacked."""
+    shown: Int[Array, "n items"]
+    """Which of them each question shows."""
+
+    def clips_of(self, shown: Int[Array, "*n"]) -> Clip:
+        """These ones of the pool."""
+        return jax.tree.map(lambda x: x[shown], self.clips)
+
+
 @partial(jax.jit, static_argnames=("config",))
 def pick_clips(T: Trajectories, reward: EstimatedReward, config: QuestionConfig, *, key: Key) -> Clip:
     """The clips to ask about, stacked; the newest trajectory of T is among them where nothing else is asked for.
@@ -78,9 +90,9 @@ def pick_clips(T: Trajectories, reward: EstimatedReward, config: QuestionConfig,
     anything = drawn(T, config, key=draw_key)
     best = jnp.argmax(jnp.where(jnp.arange(T.capacity) < T.last, reward.returns(T), -jnp.inf))
     aligned = _aligned(T, config, T.last, best, key=aligned_key)
-    clips = jax.tree.map(partial(jnp.where, jr.bernoulli(kind_key, config.aligned)), aligned, anything)
-    worth = information(T, reward, clips, config)
-    return jax.tree.map(lambda x: x[jnp.argmax(worth)], clips)
+    asked = jax.tree.map(partial(jnp.where, jr.bernoulli(kind_key, config.aligned)), aligned, anything)
+    worth = information(T, reward, asked, config)
+    return asked.clips_of(asked.shown[jnp.argmax(worth)])
 
 
 def _uniform(T: Trajectories, config: QuestionConfig, *, key: Key) -> Clip:
@@ -90,16 +102,26 @@ def _uniform(T: Trajectories, config: QuestionConfig, *, key: Key) -> Clip:
     return _started(T, jnp.append(T.last, older), config, key=start_key)
 
 
-def drawn(T: Trajectories, config: QuestionConfig, *, key: Key) -> Clip:
-    """(n, items) clips of any trajectories."""
-    of_key, start_key = jr.split(key)
-    return _started(T, jr.randint(of_key, (config.candidates, config.items), 0, T.count), config, key=start_key)
+def drawn(T: Trajectories, config: QuestionConfig, *, key: Key) -> Questions:
+    """Questions about any trajectories."""
+    of_key, start_key, shown_key = jr.split(key, 3)
+    size = config.candidates, config.items
+    if config.clip is None:
+        return Questions(Clip.whole(jnp.arange(T.capacity)), jr.randint(shown_key, size, 0, T.count))
+    pool = _started(T, jr.randint(of_key, (POOL,), 0, T.count), config, key=start_key)
+    return Questions(pool, jr.randint(shown_key, size, 0, POOL))
 
 
-def _aligned(T: Trajectories, config: QuestionConfig, first: Count, second: Count, *, key: Key) -> Clip:
-    """(n, items) clips of these two trajectories by turns."""
-    named = jnp.where(jnp.arange(config.items) % 2 == 0, first, second)
-    return _started(T, jnp.broadcast_to(named, (config.candidates, config.items)), config, key=key)
+def _aligned(T: Trajectories, config: QuestionConfig, first: Count, second: Count, *, key: Key) -> Questions:
+    """Questions about these two trajectories by turns."""
+    start_key, shown_key = jr.split(key)
+    turn = jnp.arange(config.items) % 2
+    size = config.candidates, config.items
+    if config.clip is None:
+        both = jnp.where(turn == 0, first, second)
+        return Questions(Clip.whole(jnp.arange(T.capacity)), jnp.broadcast_to(both, size))
+    pool = _started(T, jnp.where(jnp.arange(POOL) % 2 == 0, first, second), config, key=start_key)
+    return Questions(pool, 2 * jr.randint(shown_key, size, 0, POOL // 2) + turn[None])
 
 
 def _started(T: Trajectories, of: Array, config: QuestionConfig, *, key: Key) -> Clip:
@@ -111,16 +133,16 @@ def _started(T: Trajectories, of: Array, config: QuestionConfig, *, key: Key) ->
     return Clip(of, jnp.minimum(start, latest), jnp.full_like(of, config.clip))
 
 
-def information(T: Trajectories, reward: AdditiveReward, clips: Clip, config: QuestionConfig) -> Float[Array, " n"]:
+def information(T: Trajectories, reward: AdditiveReward, asked: Questions, config: QuestionConfig) -> Float[Array, " n"]:
     """What the answer to each question is expected to tell about r̂, in nats; -∞ for a clip beside itself.
 
     Of a number it grows with σ_g, of a ranking with the volume of what is unknown of its differences: in these two
     cases only the order means something.
     """
-    psi = differences(T, reward.features, clips, config)
-    mean = psi @ reward.mean
-    half = psi @ reward.root.T
-    prior = psi * jnp.sqrt(reward.prior)[None, None]
+    Phi, clips = phi_of(T, reward.features, asked.clips, config), asked.clips_of(asked.shown)
+    mean = apart(Phi @ reward.mean, asked.shown)
+    half = apart(Phi @ reward.root.T, asked.shown)
+    prior = apart(Phi * jnp.sqrt(reward.prior)[None], asked.shown)
     var = jnp.maximum(jnp.sum(prior**2, axis=-1) - jnp.sum(half**2, axis=-1), 0.0)
     if config.items > 2:
         C = jnp.einsum("nid,njd->nij", prior, prior) - jnp.einsum("nik,njk->nij", half, half)
@@ -148,39 +170,21 @@ def expected_information(mean: Scalar, std: Scalar, cuts: Float[Array, " levels_
     return entropy(weights @ p) - weights @ entropy(p)
 
 
-def differences(
+def phi_of(
     T: Trajectories, features: AdditiveFeatures, clips: Clip, config: QuestionConfig
-) -> Float[Array, "n items_less_1 D"]:
-    """(n, items - 1, D): sums of φ of each clip less that of the last; of a single clip as they are."""
+) -> Float[Array, "clips D"]:
+    """Sum of φ over each clip, less their mean, which says nothing of a difference and would take float32's digits."""
     H = T.rows.actions.shape[1]
-    if config.clip is None or config.clip >= H:
-        Phi = jax.vmap(lambda i: clip_sum(features, T, Clip.whole(i), H))(jnp.arange(T.capacity))
-        sums = Phi[clips.of]
-    elif T.capacity * H <= min(clips.of.size * config.clip, LARGEST):  # then each step's features are made once
-        C = prefix_sums(features, T)
-        end = jnp.minimum(clips.start + clips.length, T.rows.length[clips.of])
-        sums = C[clips.of, jnp.maximum(end, clips.start)] - C[clips.of, clips.start]
-    else:
-        steps = config.clip
-        one = lambda clip: clip_sum(features, T, clip, steps)
-        # a few at a time, so that features of all steps of all candidates never lie side by side
-        flat = jax.tree.map(lambda x: x.reshape(-1), clips)
-        sums = jax.lax.map(one, flat, batch_size=64).reshape(*clips.of.shape, -1)
+    Phi = clip_sums(features, T, clips, H if config.clip is None else min(config.clip, H))
     if config.items == 1:
-        n = jnp.minimum(clips.length, T.rows.length[clips.of] - clips.start)
-        return sums.at[..., 0].add(-n.astype(sums.dtype))  # the bias says nothing of a clip beside the average one
-    return sums[:, :-1] - sums[:, -1:]
+        return Phi.at[:, 0].set(0.0)  # the bias says nothing of a clip beside the average one
+    return Phi - jnp.mean(Phi, axis=0, keepdims=True)
 
 
-def prefix_sums(features: AdditiveFeatures, T: Trajectories) -> Float[Array, "N H_plus_1 D"]:
-    """Sum of φ over the steps of each trajectory before each step."""
-
-    def one(tau: Trajectory) -> Float[Array, "H_plus_1 D"]:
-        rows = tau.transitions()
-        phi = jnp.where(rows.mask[:, None], jax.vmap(features)(rows.s, rows.a), 0.0)
-        return jnp.pad(jnp.cumsum(phi, axis=0), ((1, 0), (0, 0)))
-
-    return jax.lax.map(one, T.rows)
+def apart(x: Float[Array, "clips *D"], shown: Int[Array, "n items"]) -> Float[Array, "n items_less_1 *D"]:
+    """x of each clip that a question shows less that of the last; of a single clip as it is."""
+    each = x[shown]
+    return each if shown.shape[1] == 1 else each[:, :-1] - each[:, -1:]
 
 
 def _distinct(clips: Clip, worth: Float[Array, " n"]) -> Float[Array, " n"]:

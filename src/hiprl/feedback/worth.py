@@ -17,8 +17,8 @@ from jaxtyping import Array, Bool, Float
 
 from hiprl.data.preference import Clip
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.feedback.questions import NODES, WEIGHTS, QuestionConfig, differences, drawn
-from hiprl.models.reward import AdditiveReward, clip_sum
+from hiprl.feedback.questions import NODES, WEIGHTS, QuestionConfig, apart, drawn, phi_of
+from hiprl.models.reward import AdditiveReward, clip_sums
 from hiprl.types import Key, Scalar
 
 CANDIDATES = 300  # questions that are weighed up
@@ -41,7 +41,8 @@ def worth(T: Trajectories, reward: AdditiveReward, config: QuestionConfig, *, ke
     if config.items > 2:
         return jnp.asarray(jnp.nan)
     config = replace(config, candidates=CANDIDATES)
-    psi = differences(T, reward.features, drawn(T, config, key=key), config)[:, 0]
+    asked = drawn(T, config, key=key)
+    psi = apart(phi_of(T, reward.features, asked.clips, config), asked.shown)[:, 0]
     Phi, there = seen(T, reward)
     returns = Phi @ reward.mean
     half_psi, half_Phi = psi @ reward.root.T, Phi @ reward.root.T
@@ -70,8 +71,7 @@ def seen(T: Trajectories, reward: AdditiveReward) -> tuple[Float[Array, "n D"], 
     steps = jnp.minimum(T.rows.length[:, None] - at.start, SPAN)
     there = T.filled[:, None] & (steps >= min(SPAN, H) // 2)
     flat = jax.tree.map(lambda x: x.reshape(-1), at)
-    sums = jax.lax.map(lambda clip: clip_sum(reward.features, T, clip, SPAN), flat, batch_size=64)
-    return sums / jnp.maximum(steps.reshape(-1), 1)[:, None], there.reshape(-1)
+    return clip_sums(reward.features, T, flat, SPAN) / jnp.maximum(steps.reshape(-1), 1)[:, None], there.reshape(-1)
 
 
 def answers_given(u: Float[Array, "n nodes"], kappa: Scalar, levels: int | None) -> Float[Array, "n nodes answers"]:

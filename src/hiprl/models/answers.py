@@ -7,21 +7,22 @@ and these units are found in turn. Numbers are in the judge's own unit, which do
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from hiprl.data.preference import Kind, Preferences, Said
+from hiprl.data.preference import Clip, Kind, Preferences, Said
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.features import AdditiveFeatures
+from hiprl.models.features import AdditiveFeatures, Kernel, priors_of
 from hiprl.models.likelihood import Noise, for_each, responsibility
-from hiprl.models.reward import AdditiveReward, additive_reward, clip_sums, evidence, most_steps
-from hiprl.models.sums import every_step, sums, values
+from hiprl.models.reward import AdditiveReward, additive_reward, believed, clip_sums, evidence, most_steps
+from hiprl.models.sums import every_step, values
 from hiprl.models.variational import Answers, Belief, evidence_of, improved, posterior_of, thin, unknown
 from hiprl.types import Count, Flag, Scalar
 
@@ -29,13 +30,13 @@ JUDGES = 16
 """Judges whose mistakes are told apart; further ones count as the last."""
 ROUNDS = 4  # at most, of finding units and mistakes for the reward, and the reward for these
 SAME = 0.05  # relative change of units and mistakes below which the next round would find nothing new
-STEPS, ENOUGH = 10, 0.1  # Newton steps for a candidate at most, and the gain in nats of one that is the last
+STEPS, ENOUGH = 10, 0.3  # Newton steps for a candidate at most, and the gain in nats of one that is the last
 POLISH = 20, 1e-3  # the same for the candidate that is kept
-COLUMNS = 3  # of the prior's factor, for each coordinate: leave out at most 3e-4 of a value's variance
-COLUMNS_OF_NUMBERS = 4  # the same where there are numbers, whose errors are small: 1e-5
+COLUMNS = 2  # of the prior's factor, for each coordinate, while kernels are weighed up
+COLUMNS_OF_NUMBERS = 4  # the same where there are numbers, whose errors are small
+FULL = 6  # the same for the kernel that is kept
 STARTS = 32  # clips of a trajectory over which its spread is taken
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)  # candidates for the size of a typical difference, where a whole scale is 1
-NEAREST = (-1, 0, 1)  # moves among the candidates once all of them were tried
 SURENESS = 2.0  # factor by which a typical difference may well be another size than a whole scale
 BENT = 1.0  # nats that each tenfold greater share of the smooth part has to earn: few answers tell no curves
 KAPPAS = (0.03, 0.1, 0.3)  # candidates for κ where levels have two bounds; else only the ratio to the scale counts
@@ -57,6 +58,10 @@ class Errors(NamedTuple):
     """Size of r̂'s unit, where a whole scale is 1 at the time of the newest answer."""
 
 
+At: TypeAlias = Int[Array, "3"]
+"""Which candidate for the scale, for the kernel, and for κ."""
+
+
 class Problem(NamedTuple):
     """All that the posterior depends on."""
 
@@ -64,14 +69,42 @@ class Problem(NamedTuple):
     said: Said
     filled: Bool[Array, " K"]
     judge: Int[Array, " K"]
-    priors: Float[Array, "S D"]
-    """Candidates for the prior variance of θ; each gives a typical answer the variance 1."""
-    number_unit: Float[Array, " S"]
+    priors: Float[Array, "kernels D"]
+    """The prior variance of θ for each kernel; each gives a typical answer the variance 1."""
+    log_prior: Float[Array, " kernels"]
+    """How much each kernel is believed in, in nats."""
+    number_unit: Float[Array, " kernels"]
     """What a number is divided by, for each of these."""
+    kappas: Float[Array, " kappas"]
 
+    @property
+    def number(self) -> Bool[Array, " K"]:
+        """Answers that are numbers."""
+        return self.said.kind == Kind.NUMBER
 
-At: TypeAlias = Int[Array, "3"]
-"""Which candidate for the scale, for the prior, and for κ."""
+    @property
+    def offset(self) -> Float[Array, "KJ 1"]:
+        """What all ratings have in common, as a column of the prior's factor."""
+        K, J, _ = self.Psi.shape
+        rated = self.filled & (self.said.kind == Kind.RATING)
+        first = jnp.zeros((K, J), self.Psi.dtype).at[:, 0].set(jnp.where(rated, OFFSET**0.5, 0.0))
+        return first.reshape(-1)[:, None]
+
+    def weights(self, at: At, unit: Float[Array, " K"]) -> Float[Array, " KJ"]:
+        """What puts each row of Ψ into the unit of its answer."""
+        scale = jnp.asarray(SCALES, self.Psi.dtype)[at[0]]
+        return jnp.repeat(jnp.where(self.number, 1.0, scale / unit), self.Psi.shape[1])
+
+    def answers(self, at: At, mistakes: Float[Array, " judges"]) -> Answers:
+        """The answers in their units."""
+        low = jnp.where(self.number, self.said.low / self.number_unit[at[1]], self.said.low)
+        noise = Noise(self.kappas[at[2]], jnp.asarray(NUMBER_ERROR, low.dtype), mistakes[self.judge])
+        return Answers(Said(self.said.kind, low, self.said.high, self.said.items), self.filled, noise)
+
+    def mean(self, at: At, unit: Float[Array, " K"], dual: Float[Array, " KJ"]) -> Float[Array, " D"]:
+        """Of θ, given the belief about the values at the answers."""
+        flat = self.Psi.reshape(-1, self.Psi.shape[2])
+        return self.number_unit[at[1]] * self.priors[at[1]] * (flat.T @ (self.weights(at, unit) * dual))
 
 
 class Found(NamedTuple):
@@ -79,6 +112,8 @@ class Found(NamedTuple):
 
     at: At
     belief: Belief
+    score: Scalar
+    """Log marginal likelihood and prior."""
 
 
 class Round(NamedTuple):
@@ -94,14 +129,14 @@ class Round(NamedTuple):
 
 
 def estimate_from_answers(
-    P: Preferences, T: Trajectories, smooth: tuple[float, ...], *, learn_mistakes: bool = False
+    P: Preferences, T: Trajectories, kernels: tuple[Kernel, ...], *, learn_mistakes: bool = False
 ) -> tuple[AdditiveReward, Errors]:
     """Posterior of the additive reward given answers of any kind, its scales chosen by marginal likelihood.
 
     Args:
         P: the answers.
         T: the trajectories they are about.
-        smooth: candidates for the variance of the smooth part over that of the linear part.
+        kernels: candidates for the smooth part.
         learn_mistakes: how often each judge errs is found too; there have to be repeated questions or several judges
             to tell.
 
@@ -111,17 +146,39 @@ def estimate_from_answers(
     kinds = kinds_in(P)
     levels = P.filled & (P.said.kind != Kind.NUMBER) & jnp.isfinite(P.said.low) & jnp.isfinite(P.said.high)
     kappas = KAPPAS if bool(jnp.any(levels & (P.said.kind != Kind.RANKING))) else (KAPPA,)
-    X = every_step(features, T)
-    priors = jax.vmap(features.prior)(jnp.ones(len(smooth)), jnp.asarray(smooth))
+    variance, length = np.asarray(kernels).T
+    log_prior = believed(kernels) - BENT * np.log10(variance / variance.min())
+    middle = len(SCALES) // 2, int(np.sum(length == length.max())) // 2, len(kappas) // 2
+    numbers = Kind.NUMBER in kinds
     with jax.enable_x64(True):
-        wide = lambda x: jnp.asarray(x, jnp.float64)
-        said = Said(P.said.kind, wide(P.said.low), wide(P.said.high), P.said.items)
-        numbers = Kind.NUMBER in kinds
-        problem = _problem(wide(Psi), said, P.filled, P.judge, wide(priors), numbers=numbers)
-        more = {"smooth": smooth, "kappas": kappas, "learn_mistakes": learn_mistakes, "numbers": numbers}
-        posterior, errors = _posterior(problem, features, T, P, X, lengths_of(P), **more)
-        posterior, errors = jax.tree.map(lambda x: x.astype(jnp.float32), (posterior, errors))
+        more = in_64_bits((priors_of(features, kernels), jnp.asarray(log_prior), jnp.asarray(kappas)))
+        problem = _problem(*in_64_bits((Psi, P.said)), P.filled, P.judge, *more, numbers=numbers)
+    with jax.enable_x64(numbers):  # whose errors are small
+        end = _search(
+            problem if numbers else in_32_bits(problem),
+            features,
+            T,
+            P,
+            lengths_of(P),
+            jnp.asarray(middle),
+            columns=(COLUMNS_OF_NUMBERS if numbers else COLUMNS) * (features.low.shape[0] + 1),
+            learn_mistakes=learn_mistakes,
+        )
+    with jax.enable_x64(True):
+        posterior, errors = in_32_bits(
+            _posterior(problem, in_64_bits(end), columns=FULL * (features.low.shape[0] + 1))
+        )
     return additive_reward(T, features, *posterior, errors.scale, errors.kappa), errors
+
+
+def in_64_bits(x: PyTree) -> PyTree:
+    """The same with float64 for float32."""
+    return jax.tree.map(lambda x: x.astype(jnp.float64) if x.dtype == jnp.float32 else x, x)
+
+
+def in_32_bits(x: PyTree) -> PyTree:
+    """The same with float32 for float64."""
+    return jax.tree.map(lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, x)
 
 
 def kinds_in(P: Preferences) -> set[Kind]:
@@ -139,8 +196,7 @@ def compared(T: Trajectories, P: Preferences) -> tuple[AdditiveFeatures, Float[A
 @partial(jax.jit, static_argnames=("longest",))
 def _with_ratings(features: AdditiveFeatures, T: Trajectories, P: Preferences, Psi, *, longest: int):
     """Ψ with a row for each rating: its clip against as many average steps of what was at hand."""
-    X, mask = every_step(features, T), jax.vmap(Trajectory.transitions)(T.rows).mask
-    Phi = sums(features, X, mask)
+    Phi = clip_sums(features, T, Clip.whole(jnp.arange(T.capacity)), T.rows.actions.shape[1])
     clips = jax.tree.map(lambda x: x[:, 0], P.clips)
     steps = jnp.clip(T.rows.length[clips.of] - clips.start, 0, clips.length)
 
@@ -156,13 +212,11 @@ def _with_ratings(features: AdditiveFeatures, T: Trajectories, P: Preferences, P
 
 
 @partial(jax.jit, static_argnames=("numbers",))
-def _problem(Psi, said: Said, filled, judge, priors, *, numbers: bool) -> Problem:
+def _problem(Psi, said: Said, filled, judge, priors, log_prior, kappas, *, numbers: bool) -> Problem:
     """The same in units in which a typical answer has variance 1."""
     n = jnp.maximum(jnp.sum(filled), 1)
     level = jnp.einsum("kjd,sd->s", Psi**2, priors) / n
-    priors = priors / jnp.where(level > 0, level, 1.0)[:, None]
-    if not numbers:
-        return Problem(Psi, said, filled, judge, priors, jnp.ones(len(priors), Psi.dtype))
+    priors, judge = priors / jnp.where(level > 0, level, 1.0)[:, None], jnp.minimum(judge, JUDGES - 1)
     those = filled & (said.kind == Kind.NUMBER)
     g, count = jnp.where(those, said.low, 0.0), jnp.sum(those)
 
@@ -172,7 +226,8 @@ def _problem(Psi, said: Said, filled, judge, priors, *, numbers: bool) -> Proble
         size = g @ jnp.linalg.solve(K, g) / jnp.maximum(count, 1)
         return jnp.where(size > 0, jnp.sqrt(size), 1.0)
 
-    return Problem(Psi, said, filled, judge, priors, jax.vmap(unit)(priors))
+    units = jax.vmap(unit)(priors) if numbers else jnp.ones_like(log_prior)
+    return Problem(Psi, said, filled, judge, priors, log_prior, units, kappas)
 
 
 def lengths_of(P: Preferences) -> Int[Array, " L"]:
@@ -213,123 +268,109 @@ def units(r: Float[Array, "N H"], T: Trajectories, P: Preferences, lengths: Int[
     return jnp.where(newest > 0, jnp.maximum(found / newest, LEAST_UNIT), 1.0)
 
 
-@partial(jax.jit, static_argnames=("smooth", "kappas", "learn_mistakes", "numbers"))
-def _posterior(
+def visits_of(sizes: tuple[int, ...]) -> tuple[Int[np.ndarray, "first 3"], Int[np.ndarray, "later 3"]]:
+    """What the first round and each later one look at: an axis, where to on it, and whether that is from here."""
+    axes = [axis for axis, n in enumerate(sizes) if n > 1]
+    first = [(axis, to, 0) for axis in axes for to in range(sizes[axis])]
+    later = [(0, 0, 1), *((axis, to, 1) for axis in axes for to in (-1, 1))]
+    return np.array(first), np.array(later)
+
+
+@partial(jax.jit, static_argnames=("columns", "learn_mistakes"))
+def _search(
     problem: Problem,
     features: AdditiveFeatures,
     T: Trajectories,
     P: Preferences,
-    X: Float[Array, "n steps"],
     lengths: Int[Array, " L"],
+    middle: At,
     *,
-    smooth,
-    kappas,
-    learn_mistakes,
-    numbers,
-):
-    """Mean, prior variance and root of θ for the best scales, and how the judges err.
+    columns: int,
+    learn_mistakes: bool,
+) -> Round:
+    """The best scales, the units of the answers, and how the judges err.
 
     The scales are found one after the other: at first along all candidates for one with the others as they are, then
-    among the nearest ones, until neither they nor the units of the answers change. Each search goes on from the belief
-    of the one before, so that a few of Newton's steps do: an error of the belief counts by its square alone.
+    among the nearest ones, until neither they nor the units of the answers change. Each candidate goes on from the
+    belief of the best before it, so that a few of Newton's steps do: an error of the belief counts by its square alone.
     """
-    Psi, said, filled, judge, priors, number_unit = problem
-    K, J, D = Psi.shape
-    number = said.kind == Kind.NUMBER
-    judge = jnp.minimum(judge, JUDGES - 1)
-    rated = filled & (said.kind == Kind.RATING)
-    told = filled & ~number
-    values_of = [jnp.asarray(x, Psi.dtype) for x in (SCALES, smooth, kappas)]
-    sizes = jnp.asarray([len(x) for x in values_of])
-    long = jnp.asarray([i for i, x in enumerate(values_of) if len(x) > len(NEAREST)])
-    axes = jnp.asarray([i for i, x in enumerate(values_of) if len(x) > 1])
-    bent = BENT * jnp.log10(values_of[1] / min(smooth))
+    K, J, D = problem.Psi.shape
+    told = problem.filled & ~problem.number
+    sizes = len(SCALES), len(problem.priors), len(problem.kappas)
+    first, later = visits_of(sizes)
+    visits = jnp.concatenate([first, later])
+    X, mask = every_step(features, T), jax.vmap(Trajectory.transitions)(T.rows).mask
+    flat = problem.Psi.reshape(K * J, D)
+    factors = jax.vmap(lambda prior: factor_of(flat, prior, columns))(problem.priors)
 
-    flat = Psi.reshape(K * J, D)
-    rank = min(K * J, D, (COLUMNS_OF_NUMBERS if numbers else COLUMNS) * (features.low.shape[0] + 1))
-    thins = jax.vmap(lambda prior: thin((flat * prior[None]) @ flat.T, rank))(priors)
-    first = jnp.zeros((K, J)).at[:, 0].set(jnp.where(rated, OFFSET, 0.0)).reshape(-1)
-    offset = jnp.sqrt(first)[:, None]  # of all ratings
-    mask = jax.vmap(Trajectory.transitions)(T.rows).mask
-
-    def weights(at: At, unit: Float[Array, " K"]):
-        """What puts each row of Ψ into the unit of its answer."""
-        return jnp.repeat(jnp.where(number, 1.0, values_of[0][at[0]] / unit), J)
-
-    def seen(at: At, unit: Float[Array, " K"], mistakes: Float[Array, " judges"]) -> tuple[Array, Answers]:
-        """Factor of the prior covariance of the values, and the answers in their units."""
-        A = number_unit[at[1]]
-        scaled = Said(said.kind, jnp.where(number, said.low / A, said.low), said.high, said.items)
-        noise = Noise(values_of[2][at[2]], jnp.asarray(NUMBER_ERROR, Psi.dtype), mistakes[judge])
-        factor = jnp.concatenate([weights(at, unit)[:, None] * thins[at[1]], offset], axis=1)
-        return factor, Answers(scaled, filled, noise)
+    def seen(at: At, unit: Float[Array, " K"]) -> Float[Array, "KJ rank"]:
+        """Factor of the prior covariance of the values."""
+        return jnp.concatenate([problem.weights(at, unit)[:, None] * factors[at[1]], problem.offset], axis=1)
 
     def carried(belief: Belief, before: Array, now: Array) -> Belief:
         """The same belief about θ, in other units."""
         return belief._replace(dual=belief.dual * (before / now) ** 2)
 
-    def along(unit, mistakes, moves: Int[Array, " moves"], found: Found, axis: Count) -> tuple[Found, None]:
-        """The best candidate along one axis."""
-
-        def tried(move: Count):
-            i = jnp.clip(found.at[axis] + move, 0, sizes[axis] - 1)
-            at = found.at.at[axis].set(i)
-            A, given = seen(at, unit, mistakes)
-            belief = carried(found.belief, weights(found.at, unit), weights(at, unit))
-            belief = improved(A, given, belief, steps=STEPS, enough=ENOUGH)
-            score = evidence_of(A, given, belief) - jnp.sum(filled & number) * jnp.log(number_unit[at[1]])
-            score += -0.5 * (jnp.log(values_of[0][at[0]]) / jnp.log(SURENESS)) ** 2 - bent[at[1]]
-            return Found(at, belief), jnp.where(jnp.isfinite(score), score, -jnp.inf)
-
-        line, scores = jax.vmap(tried)(moves)
-        return jax.tree.map(lambda x: x[jnp.argmax(scores)], line), None
+    def tried(unit, mistakes, visit: Int[Array, "3"], found: Found) -> Found:
+        """What was found, or another candidate if it is better."""
+        axis, to, nearby = visit
+        i = jnp.clip(jnp.where(nearby, found.at[axis] + to, to), 0, jnp.asarray(sizes)[axis] - 1)
+        at = found.at.at[axis].set(i)
+        A, given = seen(at, unit), problem.answers(at, mistakes)
+        belief = carried(found.belief, problem.weights(found.at, unit), problem.weights(at, unit))
+        belief = improved(A, given, belief, steps=STEPS, enough=ENOUGH)
+        score = evidence_of(A, given, belief) + problem.log_prior[at[1]]
+        score -= jnp.sum(problem.filled & problem.number) * jnp.log(problem.number_unit[at[1]])
+        score -= 0.5 * (jnp.log(jnp.asarray(SCALES, score.dtype)[at[0]]) / math.log(SURENESS)) ** 2
+        return jax.tree.map(partial(jnp.where, score > found.score), Found(at, belief, score), found)
 
     def erring(found: Found, unit, mistakes):
         if not learn_mistakes:
             return mistakes
-        A, given = seen(found.at, unit, mistakes)
+        A, given = seen(found.at, unit), problem.answers(found.at, mistakes)
         f = (A @ (A.T @ found.belief.dual)).reshape(K, J)
         wrong = for_each(responsibility, f, given.said, given.noise)
-        total = jnp.zeros(JUDGES).at[judge].add(jnp.where(told, wrong, 0.0))
-        count = jnp.zeros(JUDGES).at[judge].add(jnp.where(told, 1.0, 0.0))
-        return (total + MISTAKE * TRUST) / (count + TRUST)
-
-    def mean_of(found: Found, unit):
-        at = found.at
-        return number_unit[at[1]] * priors[at[1]] * (flat.T @ (weights(at, unit) * found.belief.dual))
+        none = jnp.zeros(JUDGES, wrong.dtype)
+        total = none.at[problem.judge].add(jnp.where(told, wrong, 0.0))
+        return (total + MISTAKE * TRUST) / (none.at[problem.judge].add(told) + TRUST)
 
     def one_round(before: Round) -> Round:
+        """The best candidates, and units and mistakes by what was found."""
         unit, mistakes = before.unit, before.mistakes
-        found, _ = jax.lax.scan(partial(along, unit, mistakes, jnp.asarray(NEAREST)), before.found, axes)
-        return judged(before, found)
-
-    def judged(before: Round, found: Found) -> Round:
-        """Units and mistakes by what was found."""
-        unit, mistakes = before.unit, before.mistakes
-        r = values(features, X, mean_of(found, unit).astype(X.dtype)).reshape(mask.shape)
-        now, wrong = units(r, T, P, lengths).astype(Psi.dtype), erring(found, unit, mistakes)
-        apart = jnp.maximum(far(jnp.where(filled, now / unit, 1.0)), far(wrong / mistakes))
-        moved = jnp.any(found.at != before.found.at) | (apart > SAME)
-        belief = carried(found.belief, weights(found.at, unit), weights(found.at, now))
-        return Round(before.number + 1, moved, now, wrong, Found(found.at, belief))
+        begin, end = jnp.where(before.number == 0, jnp.asarray([0, len(first)]), jnp.asarray([len(first), len(visits)]))
+        start = before.found._replace(score=jnp.full_like(before.found.score, -jnp.inf))
+        found = jax.lax.fori_loop(begin, end, lambda i, found: tried(unit, mistakes, visits[i], found), start)
+        theta = problem.mean(found.at, unit, found.belief.dual).astype(X.dtype)
+        r = values(features, X, theta).reshape(mask.shape)
+        now, wrong = units(r, T, P, lengths).astype(unit.dtype), erring(found, unit, mistakes)
+        apart = jnp.maximum(far(jnp.where(problem.filled, now / unit, 1.0)), far(wrong / mistakes))
+        moved = jnp.any(found.at != before.found.at) | (apart > SAME) | (before.number == 0)
+        belief = carried(found.belief, problem.weights(found.at, unit), problem.weights(found.at, now))
+        return Round(before.number + 1, moved, now, wrong, found._replace(belief=belief))
 
     def far(ratio: Array) -> Scalar:
         return jnp.max(jnp.abs(jnp.log(ratio)))
 
-    at = jnp.asarray([len(x) // 2 for x in values_of])
-    unit, mistakes = jnp.ones(K), jnp.full(JUDGES, MISTAKE)
-    found = Found(at, unknown(seen(at, unit, mistakes)[0], K))
-    reach = max(len(x) for x in values_of) // 2
-    line = jnp.arange(-reach, reach + 1)
-    found, _ = jax.lax.scan(partial(along, unit, mistakes, line), found, long)
-    start = judged(Round(jnp.ones((), jnp.int32), jnp.asarray(True), unit, mistakes, found), found)
-    go_on = lambda now: now.moved & (now.number <= ROUNDS)
-    end = jax.lax.while_loop(go_on, one_round, start._replace(moved=jnp.asarray(True)))
-    unit, mistakes, found = end.unit, end.mistakes, end.found
-    A, given = seen(found.at, unit, mistakes)
-    found = Found(found.at, improved(A, given, found.belief, steps=POLISH[0], enough=POLISH[1]))
-    unit_of, prior, weight = number_unit[found.at[1]], priors[found.at[1]], weights(found.at, unit)
-    whole = jnp.concatenate([weight[:, None] * flat * jnp.sqrt(prior)[None], offset], axis=1)
-    root = unit_of * ((posterior_of(whole, given, found.belief).root * weight[None]) @ flat) * prior[None]
-    errors = Errors(given.noise.kappa, erring(found, unit, mistakes), values_of[0][found.at[0]] / unit_of)
-    return (mean_of(found, unit), unit_of**2 * prior, root), errors
+    unit = jnp.ones(K, flat.dtype)
+    found = Found(middle, unknown(seen(middle, unit), K), jnp.asarray(-jnp.inf, flat.dtype))
+    start = Round(jnp.zeros((), jnp.int32), jnp.asarray(True), unit, jnp.full(JUDGES, MISTAKE, flat.dtype), found)
+    return jax.lax.while_loop(lambda now: now.moved & (now.number <= ROUNDS), one_round, start)
+
+
+@partial(jax.jit, static_argnames=("columns",))
+def _posterior(problem: Problem, end: Round, *, columns: int):
+    """Mean, prior variance and root of θ for the scales that were found, and how the judges err."""
+    at, belief, _ = end.found
+    flat, prior, unit = problem.Psi.reshape(-1, problem.Psi.shape[2]), problem.priors[at[1]], problem.number_unit[at[1]]
+    weight, given = problem.weights(at, end.unit), problem.answers(at, end.mistakes)
+    seen = lambda factor: jnp.concatenate([weight[:, None] * factor, problem.offset], axis=1)
+    belief = improved(seen(factor_of(flat, prior, columns)), given, belief, steps=POLISH[0], enough=POLISH[1])
+    of = posterior_of(seen(flat * jnp.sqrt(prior)[None]), given, belief)
+    root = unit * ((of.root * weight[None]) @ flat) * prior[None]
+    errors = Errors(problem.kappas[at[2]], end.mistakes, jnp.asarray(SCALES)[at[0]] / unit)
+    return (problem.mean(at, end.unit, belief.dual), unit**2 * prior, root), errors
+
+
+def factor_of(flat: Float[Array, "n D"], prior: Float[Array, " D"], columns: int) -> Float[Array, "n rank"]:
+    """A with AAᵀ = Ψ P Ψᵀ, but for what so many columns leave out."""
+    return thin((flat * prior[None]) @ flat.T, min(*flat.shape, columns))

@@ -1,18 +1,20 @@
 """Features of a state and an action in which the latent reward is linear: a bias, and a function of each coordinate.
 
-Each coordinate counts in proportion and, on top, by a smooth function.
-
-The smooth part is a Gaussian process with squared exponential kernel in each standardised coordinate, written in the
-first Mercer functions of that kernel under a standard normal input. With a lengthscale of 4 their prior variances
-fall by a factor of 18 from one to the next, so that six say what 24 random Fourier features say, and nothing is drawn.
-Source: Rasmussen and Williams (2006), section 4.3.1.
+Each coordinate counts in proportion and, on top, by a smooth function: a Gaussian process with squared exponential
+kernel in the standardised coordinate, written in the sine waves that vanish `REACH` standard deviations from the mean.
+The waves are the same for every lengthscale, which only says how their prior variances fall: so that one pass over the
+data serves all lengthscales that are weighed up, "fast is good" (a straight line) to "stay within a step of this".
+Source: Solin and Särkkä (2020), Hilbert space methods for reduced-rank Gaussian process regression.
 """
 
 from __future__ import annotations
 
 import math
+from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -20,19 +22,25 @@ from jaxtyping import Array, Float
 from hiprl.models.network import Scaler
 from hiprl.types import Action, Scalar, State
 
-LENGTHSCALE = 4.0  # in standard deviations of the data
-DEGREE = 6  # Mercer functions a coordinate
+WAVES = 16  # of each coordinate: enough for a lengthscale of 0.5
+REACH = 6.0  # where the waves vanish, in standard deviations of the data
+INSIDE = 0.95 * REACH  # what lies past this counts as this
+LEAST = 1e-9  # prior variance of a wave: as good as none, and a number that float32 can invert
+SERIES = 6  # terms of a sine's series past the first
+FREQUENCIES = math.pi * np.arange(1, WAVES + 1) / (2 * REACH)
+"""Of the waves, in radians a standard deviation."""
 
-_A, _B = 0.25, 1 / (2 * LENGTHSCALE**2)
-_C = math.sqrt(_A**2 + 2 * _A * _B)
-_SUM = _A + _B + _C
-EIGENVALUES = np.array([math.sqrt(2 * _A / _SUM) * (_B / _SUM) ** n for n in range(DEGREE)])
-"""Prior variance of each Mercer function's weight, for a kernel of height 1."""
-_NORMS = np.array([(_C / _A) ** 0.25 / math.sqrt(2.0**n * math.factorial(n)) for n in range(DEGREE)])
+
+class Kernel(NamedTuple):
+    """Of the smooth part of a function of one coordinate, whose straight part has a slope of variance 1."""
+
+    variance: float
+    length: float
+    """Lengthscale, in standard deviations of the data."""
 
 
 class AdditiveFeatures(eqx.Module):
-    """φ(s, a) = (1, x, Mercer functions of each x_j) with x = (s, a) standardised and kept in the seen box.
+    """φ(s, a) = (1, x, sine waves of each x_j) with x = (s, a) standardised and kept in the seen box.
 
     All but the bias have mean 0 over what was seen. So r̂ has no level of its own that could jump from one refit to
     the next: only where lengths differ do answers say something about a level, and then the bias carries it.
@@ -48,7 +56,7 @@ class AdditiveFeatures(eqx.Module):
     @property
     def size(self) -> int:
         """D, the number of features."""
-        return 1 + self.low.shape[0] * (1 + DEGREE)
+        return size_of(self.low.shape[0])
 
     def coordinates(self, s: State, a: Action) -> Float[Array, " n"]:
         """(s, a) in standard units, inside the box."""
@@ -61,38 +69,54 @@ class AdditiveFeatures(eqx.Module):
         """φ(s, a)ᵀ weights without writing φ out: what a search evaluates at every imagined step."""
         x = self.coordinates(s, a)
         n = x.shape[0]
-        by_degree = weights[1 + n :].reshape(n, DEGREE)
-        smooth = sum(by_degree[:, m] * h for m, h in enumerate(hermite(x)))
-        return weights[0] + weights[1 : 1 + n] @ x + jnp.sum(envelope(x) * smooth) - self.centre @ weights
+        by_wave = weights[1 + n :].reshape(n, WAVES)
+        smooth = sum((by_wave[:, j] * wave for j, wave in enumerate(waves(x))), jnp.zeros_like(x))
+        return weights[0] + weights[1 : 1 + n] @ x + jnp.sum(smooth) - self.centre @ weights
 
-    def prior(self, linear: Float[Array, ""], smooth: Float[Array, ""]) -> Float[Array, " D"]:
-        """Prior variance of each weight, for these variances of the linear and of the smooth part."""
+    def prior(self, kernel: Kernel) -> Float[Array, " D"]:
+        """Prior variance of each weight."""
         n = self.low.shape[0]
         # The bias decides where lengths differ and is nowhere else seen: its prior is as wide as all the rest.
-        bias = n * (linear + smooth)
-        tail = jnp.broadcast_to(smooth * EIGENVALUES, (n, DEGREE)).reshape(-1)
-        return jnp.concatenate([bias[None], jnp.full(n, linear), tail])
+        bias = jnp.full(1, n * (1 + kernel.variance))
+        tail = jnp.broadcast_to(kernel.variance * spectrum(kernel.length), (n, WAVES)).reshape(-1)
+        return jnp.concatenate([bias, jnp.ones(n), tail])
+
+
+@partial(jax.jit, static_argnames=("kernels",))
+def priors_of(features: AdditiveFeatures, kernels: tuple[Kernel, ...]) -> Float[Array, "kernels D"]:
+    """Prior variance of each weight for each kernel."""
+    return jnp.stack([features.prior(kernel) for kernel in kernels])
+
+
+def size_of(n: int) -> int:
+    """D for n coordinates."""
+    return 1 + n * (1 + WAVES)
+
+
+def spectrum(length: float) -> Float[np.ndarray, " j"]:
+    """Prior variance of each wave's weight, for a kernel of height 1: its spectral density at the wave's frequency."""
+    density = math.sqrt(2 * math.pi) * length * np.exp(-0.5 * (length * FREQUENCIES) ** 2)
+    return np.maximum(density, LEAST)
 
 
 def raw_features(x: Float[Array, " n"]) -> Float[Array, " D"]:
-    """(1, x, Mercer functions of each x_j)."""
-    return jnp.concatenate([jnp.ones(1), x, mercer(x).reshape(-1)])
+    """(1, x, sine waves of each x_j)."""
+    return jnp.concatenate([jnp.ones(1), x, jnp.stack(waves(x), axis=1).reshape(-1)])
 
 
-def hermite(x: Float[Array, " n"]) -> list[Float[Array, " n"]]:
-    """Hermite polynomials by degree, each with the factor that makes it a Mercer function but for the envelope."""
-    u = math.sqrt(2 * _C) * x
-    H = [jnp.ones_like(u), 2 * u]
-    for n in range(1, DEGREE - 1):
-        H.append(2 * u * H[n] - 2 * n * H[n - 1])
-    return [norm * h for norm, h in zip(_NORMS.tolist(), H, strict=True)]
+def waves(x: Float[Array, " n"]) -> list[Float[Array, " n"]]:
+    """sin(j π (x + L) / 2L) / √L for j = 1, 2, … with L = `REACH`, each from the two before."""
+    sine = sine_of(math.pi / (2 * REACH) * jnp.clip(x, -INSIDE, INSIDE))  # of the angle less a right one
+    wave, twice = jnp.sqrt(1 - sine**2) / math.sqrt(REACH), -2 * sine
+    found = [wave, twice * wave]
+    for _ in range(WAVES - 2):
+        found.append(twice * found[-1] - found[-2])
+    return found
 
 
-def envelope(x: Float[Array, " n"]) -> Float[Array, " n"]:
-    """What all Mercer functions have in common: they fall off slowly away from the data."""
-    return jnp.exp(-(_C - _A) * x**2)
-
-
-def mercer(x: Float[Array, " n"]) -> Float[Array, "n m"]:
-    """The first Mercer functions of the squared exponential kernel at each standardised coordinate."""
-    return envelope(x)[:, None] * jnp.stack(hermite(x), axis=1)
+def sine_of(x: Float[Array, " n"]) -> Float[Array, " n"]:
+    """sin x between two right angles, to 1e-7: by its series, since XLA's own takes most of the time of all waves."""
+    square, total = x**2, jnp.zeros_like(x)
+    for k in range(SERIES, 0, -1):
+        total = square * ((-1) ** k / math.factorial(2 * k + 1) + total)
+    return x * (1 + total)

@@ -16,18 +16,21 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float, Shaped
 
 from hiprl.data.preference import Clip, Preferences
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.features import DEGREE, AdditiveFeatures
+from hiprl.models.features import AdditiveFeatures, Kernel, priors_of, size_of
 from hiprl.models.network import Scaler
-from hiprl.models.sums import columns, every_step, side_by_side, sums, values
+from hiprl.models.sums import columns, every_step, side_by_side, total, values
 from hiprl.types import Action, Reward, Scalar, State
 
 BOX_MARGIN = 0.25  # how far past the seen range a coordinate, and the reward itself, may count
+FINER = 1.0  # nats that a smooth part with a lengthscale e times as short has to earn
 MANY = 16_384  # steps over which the features' mean is taken where there are more
+TOGETHER, PART = 8, 512  # clips, and steps, whose features are made at a time: what stays near the processor
 
 
 class Gap(NamedTuple):
@@ -59,8 +62,22 @@ class AdditiveConfig:
 
     smooth: tuple[float, ...] = (0.01, 0.1, 1.0, 10.0, 100.0)
     """Candidates for the variance of the smooth part over that of the linear part."""
+    lengths: tuple[float, ...] = (4.0, 1.0, 0.5)
+    """Candidates for the lengthscale of the smooth part, in standard deviations of what was seen."""
     noise: tuple[float, ...] = (1e-6, 1e-4, 1e-2)
     """Candidates for the variance of an answer's error, over the variance that the prior gives an answer."""
+
+    @property
+    def kernels(self) -> tuple[Kernel, ...]:
+        """Candidates for the smooth part; one with short lengthscale and little variance would be no more than ripples."""
+        longest = max(self.lengths)
+        return tuple(Kernel(s, l) for l in self.lengths for s in self.smooth if l == longest or s >= 1)
+
+
+def believed(kernels: tuple[Kernel, ...]) -> Float[np.ndarray, " kernels"]:
+    """Log prior of each kernel, in nats: what is finer has to earn it."""
+    length = np.array([kernel.length for kernel in kernels])
+    return FINER * np.log(length / length.max())
 
 
 class AdditiveReward(EstimatedReward):
@@ -112,13 +129,18 @@ def features_of(T: Trajectories) -> AdditiveFeatures:
     least = scaler.down(jnp.min(jnp.where(rows.mask[None], x, jnp.inf), axis=1))
     most = scaler.down(jnp.max(jnp.where(rows.mask[None], x, -jnp.inf), axis=1))
     margin = BOX_MARGIN * (most - least)
-    size = 1 + x.shape[0] * (1 + DEGREE)
-    features = AdditiveFeatures(scaler, least - margin, most + margin, jnp.zeros(size, x.dtype))
+    features = AdditiveFeatures(scaler, least - margin, most + margin, jnp.zeros(size_of(x.shape[0]), x.dtype))
     some = slice(None, None, 1 + x.shape[1] // MANY)  # a mean of many does not need them all
-    seen = rows.mask[None, some]
-    total = sums(features, columns(features, x[:, some]), seen)[0]
-    centre = (total / jnp.maximum(jnp.sum(seen), 1)).at[0].set(0.0)
+    each = lambda x: total(features, columns(features, x[0]), x[1])
+    whole = jnp.sum(jax.lax.map(each, (in_parts(x[:, some]), in_parts(rows.mask[None, some])[:, 0])), axis=0)
+    centre = (whole / jnp.maximum(whole[0], 1)).at[0].set(0.0)
     return eqx.tree_at(lambda f: f.centre, features, centre)
+
+
+def in_parts(x: Shaped[Array, "n steps"]) -> Shaped[Array, "parts n PART"]:
+    """Some steps at a time, with zeros at the end."""
+    x = jnp.pad(x, ((0, 0), (0, -x.shape[1] % PART)))
+    return x.reshape(x.shape[0], -1, PART).swapaxes(0, 1)
 
 
 def typical_size(reward: Reward, T: Trajectories) -> Scalar:
@@ -141,18 +163,12 @@ def clip_sum(features: AdditiveFeatures, T: Trajectories, clip: Clip, steps: int
     shown = (t < n) & (clip.of >= 0)
     at = jnp.where(shown, clip.start + t, 0)
     clean = lambda x: jnp.where(shown[:, None], x[clip.of, at], 0.0)  # the clip alone, not its whole trajectory
-    phi = jax.vmap(features)(clean(T.rows.states), clean(T.rows.actions))
-    return jnp.sum(jnp.where(shown[:, None], phi, 0.0), axis=0)
+    return total(features, columns(features, side_by_side(clean(T.rows.states), clean(T.rows.actions))), shown)
 
 
 def clip_sums(features: AdditiveFeatures, T: Trajectories, clips: Clip, steps: int) -> Float[Array, "clips D"]:
-    """Sum of φ over each of a stack of clips of at most `steps` steps; 0 for nobody's."""
-    n = jnp.minimum(clips.length, jnp.maximum(T.rows.length[clips.of] - clips.start, 0))
-    t = jnp.arange(steps)[None]
-    shown = (t < n[:, None]) & (clips.of >= 0)[:, None]
-    at = jnp.where(shown, clips.start[:, None] + t, 0)
-    clean = lambda x: jnp.where(shown[..., None], x[clips.of[:, None], at], 0.0).reshape(-1, x.shape[-1])
-    return sums(features, columns(features, side_by_side(clean(T.rows.states), clean(T.rows.actions))), shown)
+    """The same for each of a stack of clips, a few at a time."""
+    return jax.lax.map(lambda clip: clip_sum(features, T, clip, steps), clips, batch_size=TOGETHER)
 
 
 def most_steps(P: Preferences, T: Trajectories) -> int:
@@ -186,14 +202,16 @@ def estimate_additive_reward(
     Source: HIP-RL eq. (7) and Theorem 4.3; the posterior of a linear model observed through sums.
     """
     features, Psi = evidence(T, P, steps=T.rows.actions.shape[1] if steps is None else steps)
-    grid = jnp.asarray([(s, n) for s in config.smooth for n in config.noise])
+    kernels, noises = config.kernels, len(config.noise)
+    priors = priors_of(features, kernels)
     with jax.enable_x64(True):  # Cholesky of nearly dependent rows: answers are almost free of noise
         posterior = _posterior(
             jnp.asarray(Psi[:, 0], jnp.float64),
             jnp.asarray(jnp.where(P.filled, P.g, 0.0), jnp.float64),
             P.filled,
-            jax.vmap(features.prior)(jnp.ones(len(grid)), grid[:, 0]).astype(jnp.float64),
-            jnp.asarray(grid[:, 1], jnp.float64),
+            jnp.repeat(priors.astype(jnp.float64), noises, axis=0),
+            jnp.tile(jnp.asarray(config.noise, jnp.float64), len(kernels)),
+            jnp.repeat(jnp.asarray(believed(kernels)), noises),
         )
         posterior = jax.tree.map(lambda x: x.astype(jnp.float32), posterior)
     mean, prior, root = posterior
@@ -208,13 +226,14 @@ def _posterior(
     filled: Bool[Array, " K"],
     priors: Float[Array, "G D"],
     noises: Float[Array, " G"],
+    believed: Float[Array, " G"],
 ):
-    """Mean, prior variance and root for the candidate of greatest marginal likelihood."""
+    """Mean, prior variance and root for the likeliest candidate: marginal likelihood times prior."""
     n = jnp.maximum(jnp.sum(filled), 1)
     square = jnp.sum(g**2) / n
     least = jnp.where(square > 0, 1e-12 * square, 1.0)  # in the judge's unit, whatever that is
 
-    def candidate(prior: Float[Array, " D"], noise: Float[Array, ""]):
+    def candidate(prior: Float[Array, " D"], noise: Scalar, log_prior: Scalar):
         K = (Psi * prior[None]) @ Psi.T
         level = jnp.where(jnp.trace(K) > 0, jnp.trace(K) / n, 1.0)  # what the prior expects of g²
         K = K + jnp.diag(jnp.where(filled, noise * level, 1.0))
@@ -222,9 +241,9 @@ def _posterior(
         G_g = jax.scipy.linalg.cho_solve((L, True), g)
         scale = jnp.maximum(g @ G_g / n, least)  # the overall variance, at its own optimum
         log_det = 2 * jnp.sum(jnp.where(filled, jnp.log(jnp.diag(L)), 0.0))
-        return -0.5 * (n * jnp.log(scale) + log_det), (L, G_g, scale)
+        return log_prior - 0.5 * (n * jnp.log(scale) + log_det), (L, G_g, scale)
 
-    score, (L, G_g, scale) = jax.vmap(candidate)(priors, noises)
+    score, (L, G_g, scale) = jax.vmap(candidate)(priors, noises, believed)
     best = jnp.argmax(score)
     L, G_g, scale, prior = L[best], G_g[best], scale[best], priors[best]
     half = jax.scipy.linalg.solve_triangular(L, Psi * prior[None], lower=True)

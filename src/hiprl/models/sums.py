@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.features import DEGREE, AdditiveFeatures, envelope, hermite
+from hiprl.models.features import WAVES, AdditiveFeatures, waves
 
 
 def side_by_side(s: Float[Array, "steps p"], a: Float[Array, "steps q"]) -> Float[Array, "n steps"]:
@@ -27,13 +27,13 @@ def columns(features: AdditiveFeatures, x: Float[Array, "n steps"]) -> Float[Arr
 
 
 def terms(features: AdditiveFeatures, X: Float[Array, "n steps"]) -> list[Float[Array, "n steps"]]:
-    """φ but for the bias: the coordinates themselves and their Mercer functions by degree, each with mean 0.
+    """φ but for the bias: the coordinates themselves and their waves by frequency, each with mean 0.
 
     The means go before anything is added up: float32 has few digits to spare.
     """
     n, flat = X.shape[0], X.reshape(-1)
-    raw = [flat, *(envelope(flat) * h for h in hermite(flat))]
-    centres = jnp.concatenate([features.centre[1 : 1 + n, None], features.centre[1 + n :].reshape(n, DEGREE)], axis=1)
+    raw = [flat, *waves(flat)]
+    centres = jnp.concatenate([features.centre[1 : 1 + n, None], features.centre[1 + n :].reshape(n, WAVES)], axis=1)
     return [x.reshape(X.shape) - centres[:, m, None] for m, x in enumerate(raw)]
 
 
@@ -43,21 +43,16 @@ def values(
     """φᵀ weights at each step."""
     X, weights = jax.lax.optimization_barrier((X, weights))  # or a loop would keep all terms ready, in far more memory
     n = X.shape[0]
-    of = jnp.concatenate([weights[1 : 1 + n, None], weights[1 + n :].reshape(n, DEGREE)], axis=1)
+    of = jnp.concatenate([weights[1 : 1 + n, None], weights[1 + n :].reshape(n, WAVES)], axis=1)
     each = sum((of[:, m, None] * term for m, term in enumerate(terms(features, X))), jnp.zeros_like(X))
     return weights[0] + jnp.ones(n, X.dtype) @ each
 
 
-def sums(
-    features: AdditiveFeatures, X: Float[Array, "n steps"], shown: Bool[Array, "clips length"]
-) -> Float[Array, "clips D"]:
-    """Sum of φ over the steps shown of each clip; `X` holds the clips one after the other."""
-    n, (clips, length) = X.shape[0], shown.shape
-    one = jnp.ones(length, X.dtype)
-    over = lambda x: jnp.where(shown[None], x.reshape(n, clips, length), 0.0) @ one
-    linear, *waves = (over(term) for term in terms(features, X))
-    tail = jnp.stack(waves, axis=1).reshape(n * DEGREE, clips)
-    return jnp.concatenate([jnp.sum(shown, axis=1).astype(X.dtype)[None], linear, tail]).T
+def total(features: AdditiveFeatures, X: Float[Array, "n steps"], shown: Bool[Array, " steps"]) -> Float[Array, " D"]:
+    """Sum of φ over the steps shown. Best a clip at a time, whose waves stay near the processor."""
+    one = jnp.where(shown, 1.0, 0.0).astype(X.dtype)
+    linear, *smooth = (jnp.where(shown[None], term, 0.0) @ one for term in terms(features, X))
+    return jnp.concatenate([jnp.sum(one)[None], linear, jnp.stack(smooth, axis=1).reshape(-1)])
 
 
 @jax.jit
