@@ -168,7 +168,9 @@ def test_marginal_likelihood_prefers_what_predicts_better(T, truth):
     true = np.array(returns_of(new, truth))
 
     def error(smooth):
-        reward = estimate_additive_reward(said(T, truth), T, AdditiveConfig(smooth=smooth, lengths=(4.0,), noise=(1e-6,)))
+        reward = estimate_additive_reward(
+            said(T, truth), T, AdditiveConfig(smooth=smooth, lengths=(4.0,), noise=(1e-6,))
+        )
         miss = np.asarray(reward.returns(new))[:11] - true
         chosen = float(reward.prior[1 + p + q] / reward.prior[1]) / spectrum(4.0)[0]
         return np.std(miss), chosen

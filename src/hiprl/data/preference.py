@@ -46,9 +46,7 @@ class Clip(eqx.Module):
         return cls.at(of, 0, WHOLE)
 
     @classmethod
-    def at(
-        cls, of: Int[Array, "*#n"] | int, start: Int[Array, "*#n"] | int, length: Int[Array, "*#n"] | int
-    ) -> Clip:
+    def at(cls, of: Int[Array, "*#n"] | int, start: Int[Array, "*#n"] | int, length: Int[Array, "*#n"] | int) -> Clip:
         """These steps of a trajectory, or of several."""
         return cls(*jnp.broadcast_arrays(*(jnp.asarray(x, jnp.int32) for x in (of, start, length))))
 

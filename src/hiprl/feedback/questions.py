@@ -133,7 +133,9 @@ def _started(T: Trajectories, of: Array, config: QuestionConfig, *, key: Key) ->
     return Clip(of, jnp.minimum(start, latest), jnp.full_like(of, config.clip))
 
 
-def information(T: Trajectories, reward: AdditiveReward, asked: Questions, config: QuestionConfig) -> Float[Array, " n"]:
+def information(
+    T: Trajectories, reward: AdditiveReward, asked: Questions, config: QuestionConfig
+) -> Float[Array, " n"]:
     """What the answer to each question is expected to tell about r̂, in nats; -∞ for a clip beside itself.
 
     Of a number it grows with σ_g, of a ranking with the volume of what is unknown of its differences: in these two
@@ -170,9 +172,7 @@ def expected_information(mean: Scalar, std: Scalar, cuts: Float[Array, " levels_
     return entropy(weights @ p) - weights @ entropy(p)
 
 
-def phi_of(
-    T: Trajectories, features: AdditiveFeatures, clips: Clip, config: QuestionConfig
-) -> Float[Array, "clips D"]:
+def phi_of(T: Trajectories, features: AdditiveFeatures, clips: Clip, config: QuestionConfig) -> Float[Array, "clips D"]:
     """Sum of φ over each clip, less their mean, which says nothing of a difference and would take float32's digits."""
     H = T.rows.actions.shape[1]
     Phi = clip_sums(features, T, clips, H if config.clip is None else min(config.clip, H))
@@ -181,8 +181,8 @@ def phi_of(
     return Phi - jnp.mean(Phi, axis=0, keepdims=True)
 
 
-def apart(x: Float[Array, "clips *D"], shown: Int[Array, "n items"]) -> Float[Array, "n items_less_1 *D"]:
-    """x of each clip that a question shows less that of the last; of a single clip as it is."""
+def apart(x: Float[Array, "..."], shown: Int[Array, "n items"]) -> Float[Array, "n items_less_1 ..."]:
+    """X of each clip that a question shows less that of the last; of a single clip as it is."""
     each = x[shown]
     return each if shown.shape[1] == 1 else each[:, :-1] - each[:, -1:]
 

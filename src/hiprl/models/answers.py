@@ -165,9 +165,7 @@ def estimate_from_answers(
             learn_mistakes=learn_mistakes,
         )
     with jax.enable_x64(True):
-        posterior, errors = in_32_bits(
-            _posterior(problem, in_64_bits(end), columns=FULL * (features.low.shape[0] + 1))
-        )
+        posterior, errors = in_32_bits(_posterior(problem, in_64_bits(end), columns=FULL * (features.low.shape[0] + 1)))
     return additive_reward(T, features, *posterior, errors.scale, errors.kappa), errors
 
 

@@ -115,7 +115,7 @@ def waves(x: Float[Array, " n"]) -> list[Float[Array, " n"]]:
 
 
 def sine_of(x: Float[Array, " n"]) -> Float[Array, " n"]:
-    """sin x between two right angles, to 1e-7: by its series, since XLA's own takes most of the time of all waves."""
+    """Sin x between two right angles, to 1e-7: by its series, since XLA's own takes most of the time of all waves."""
     square, total = x**2, jnp.zeros_like(x)
     for k in range(SERIES, 0, -1):
         total = square * ((-1) ** k / math.factorial(2 * k + 1) + total)

@@ -69,9 +69,14 @@ class AdditiveConfig:
 
     @property
     def kernels(self) -> tuple[Kernel, ...]:
-        """Candidates for the smooth part; one with short lengthscale and little variance would be no more than ripples."""
+        """Candidates for the smooth part; of short lengthscale and little variance it would be no more than ripples."""
         longest = max(self.lengths)
-        return tuple(Kernel(s, l) for l in self.lengths for s in self.smooth if l == longest or s >= 1)
+        return tuple(
+            Kernel(variance, length)
+            for length in self.lengths
+            for variance in self.smooth
+            if length == longest or variance >= 1
+        )
 
 
 def believed(kernels: tuple[Kernel, ...]) -> Float[np.ndarray, " kernels"]:

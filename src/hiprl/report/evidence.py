@@ -172,7 +172,8 @@ def opinions(store: Store, row: RunRow, T: Trajectories, P: Preferences, config:
     names, by = judges_of(store, row), np.asarray(P.judge)[: int(P.count)]
     if len(names) < 2 or not isinstance(config, AdditiveConfig):
         return {"judges": [], "agreement": None}
-    mistakes = None if P.only_numbers() else estimate_from_answers(P, T, config.kernels, learn_mistakes=True)[1].mistakes
+    found = lambda: estimate_from_answers(P, T, config.kernels, learn_mistakes=True)[1]
+    mistakes = None if P.only_numbers() else found().mistakes
     each = [
         {
             "judge": name,
