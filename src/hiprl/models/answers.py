@@ -56,6 +56,8 @@ class Errors(NamedTuple):
     """Share of answers that mean something else."""
     scale: Scalar
     """Size of r̂'s unit, where a whole scale is 1 at the time of the newest answer."""
+    spread: Scalar
+    """Standard deviation of the belief about its logarithm."""
 
 
 At: TypeAlias = Int[Array, "3"]
@@ -90,9 +92,8 @@ class Problem(NamedTuple):
         first = jnp.zeros((K, J), self.Psi.dtype).at[:, 0].set(jnp.where(rated, OFFSET**0.5, 0.0))
         return first.reshape(-1)[:, None]
 
-    def weights(self, at: At, unit: Float[Array, " K"]) -> Float[Array, " KJ"]:
+    def weights(self, scale: Scalar, unit: Float[Array, " K"]) -> Float[Array, " KJ"]:
         """What puts each row of Ψ into the unit of its answer."""
-        scale = jnp.asarray(SCALES, self.Psi.dtype)[at[0]]
         return jnp.repeat(jnp.where(self.number, 1.0, scale / unit), self.Psi.shape[1])
 
     def answers(self, at: At, mistakes: Float[Array, " judges"]) -> Answers:
@@ -101,10 +102,9 @@ class Problem(NamedTuple):
         noise = Noise(self.kappas[at[2]], jnp.asarray(NUMBER_ERROR, low.dtype), mistakes[self.judge])
         return Answers(Said(self.said.kind, low, self.said.high, self.said.items), self.filled, noise)
 
-    def mean(self, at: At, unit: Float[Array, " K"], dual: Float[Array, " KJ"]) -> Float[Array, " D"]:
-        """Of θ, given the belief about the values at the answers."""
-        flat = self.Psi.reshape(-1, self.Psi.shape[2])
-        return self.number_unit[at[1]] * self.priors[at[1]] * (flat.T @ (self.weights(at, unit) * dual))
+    def mean(self, i: Count, dual: Float[Array, " KJ"]) -> Float[Array, " D"]:
+        """Of θ under kernel i, given the belief about the values of the rows of Ψ."""
+        return self.number_unit[i] * self.priors[i] * (self.Psi.reshape(-1, self.Psi.shape[2]).T @ dual)
 
 
 class Found(NamedTuple):
@@ -114,6 +114,8 @@ class Found(NamedTuple):
     belief: Belief
     score: Scalar
     """Log marginal likelihood and prior."""
+    line: Float[Array, " scales"]
+    """The same along the scales."""
 
 
 class Round(NamedTuple):
@@ -166,7 +168,8 @@ def estimate_from_answers(
         )
     with jax.enable_x64(True):
         posterior, errors = in_32_bits(_posterior(problem, in_64_bits(end), columns=FULL * (features.low.shape[0] + 1)))
-    return additive_reward(T, features, *posterior, errors.scale, errors.kappa), errors
+    spread = jnp.zeros(()) if numbers else errors.spread  # a number has a unit of its own
+    return additive_reward(T, features, *posterior, errors.scale, spread, errors.kappa), errors
 
 
 def in_64_bits(x: PyTree) -> PyTree:
@@ -270,7 +273,7 @@ def visits_of(sizes: tuple[int, ...]) -> tuple[Int[np.ndarray, "first 3"], Int[n
     """What the first round and each later one look at: an axis, where to on it, and whether that is from here."""
     axes = [axis for axis, n in enumerate(sizes) if n > 1]
     first = [(axis, to, 0) for axis in axes for to in range(sizes[axis])]
-    later = [(0, 0, 1), *((axis, to, 1) for axis in axes for to in (-1, 1))]
+    later = first[: sizes[0]] + [(axis, to, 1) for axis in axes[1:] for to in (-1, 1)]
     return np.array(first), np.array(later)
 
 
@@ -301,9 +304,12 @@ def _search(
     flat = problem.Psi.reshape(K * J, D)
     factors = jax.vmap(lambda prior: factor_of(flat, prior, columns))(problem.priors)
 
+    def weights(at: At, unit: Float[Array, " K"]) -> Float[Array, " KJ"]:
+        return problem.weights(jnp.asarray(SCALES, flat.dtype)[at[0]], unit)
+
     def seen(at: At, unit: Float[Array, " K"]) -> Float[Array, "KJ rank"]:
         """Factor of the prior covariance of the values."""
-        return jnp.concatenate([problem.weights(at, unit)[:, None] * factors[at[1]], problem.offset], axis=1)
+        return jnp.concatenate([weights(at, unit)[:, None] * factors[at[1]], problem.offset], axis=1)
 
     def carried(belief: Belief, before: Array, now: Array) -> Belief:
         """The same belief about θ, in other units."""
@@ -315,12 +321,14 @@ def _search(
         i = jnp.clip(jnp.where(nearby, found.at[axis] + to, to), 0, jnp.asarray(sizes)[axis] - 1)
         at = found.at.at[axis].set(i)
         A, given = seen(at, unit), problem.answers(at, mistakes)
-        belief = carried(found.belief, problem.weights(found.at, unit), problem.weights(at, unit))
+        belief = carried(found.belief, weights(found.at, unit), weights(at, unit))
         belief = improved(A, given, belief, steps=STEPS, enough=ENOUGH)
         score = evidence_of(A, given, belief) + problem.log_prior[at[1]]
         score -= jnp.sum(problem.filled & problem.number) * jnp.log(problem.number_unit[at[1]])
         score -= 0.5 * (jnp.log(jnp.asarray(SCALES, score.dtype)[at[0]]) / math.log(SURENESS)) ** 2
-        return jax.tree.map(partial(jnp.where, score > found.score), Found(at, belief, score), found)
+        line = jnp.where(axis == 0, found.line.at[i].set(score), found.line)
+        new, old = Found(at, belief, score, line), found._replace(line=line)
+        return jax.tree.map(partial(jnp.where, score > found.score), new, old)
 
     def erring(found: Found, unit, mistakes):
         if not learn_mistakes:
@@ -338,19 +346,20 @@ def _search(
         begin, end = jnp.where(before.number == 0, jnp.asarray([0, len(first)]), jnp.asarray([len(first), len(visits)]))
         start = before.found._replace(score=jnp.full_like(before.found.score, -jnp.inf))
         found = jax.lax.fori_loop(begin, end, lambda i, found: tried(unit, mistakes, visits[i], found), start)
-        theta = problem.mean(found.at, unit, found.belief.dual).astype(X.dtype)
+        theta = problem.mean(found.at[1], weights(found.at, unit) * found.belief.dual).astype(X.dtype)
         r = values(features, X, theta).reshape(mask.shape)
         now, wrong = units(r, T, P, lengths).astype(unit.dtype), erring(found, unit, mistakes)
         apart = jnp.maximum(far(jnp.where(problem.filled, now / unit, 1.0)), far(wrong / mistakes))
         moved = jnp.any(found.at != before.found.at) | (apart > SAME) | (before.number == 0)
-        belief = carried(found.belief, problem.weights(found.at, unit), problem.weights(found.at, now))
+        belief = carried(found.belief, weights(found.at, unit), weights(found.at, now))
         return Round(before.number + 1, moved, now, wrong, found._replace(belief=belief))
 
     def far(ratio: Array) -> Scalar:
         return jnp.max(jnp.abs(jnp.log(ratio)))
 
     unit = jnp.ones(K, flat.dtype)
-    found = Found(middle, unknown(seen(middle, unit), K), jnp.asarray(-jnp.inf, flat.dtype))
+    nowhere = jnp.full(1 + len(SCALES), -jnp.inf, flat.dtype)
+    found = Found(middle, unknown(seen(middle, unit), K), nowhere[0], nowhere[1:])
     start = Round(jnp.zeros((), jnp.int32), jnp.asarray(True), unit, jnp.full(JUDGES, MISTAKE, flat.dtype), found)
     return jax.lax.while_loop(lambda now: now.moved & (now.number <= ROUNDS), one_round, start)
 
@@ -358,15 +367,26 @@ def _search(
 @partial(jax.jit, static_argnames=("columns",))
 def _posterior(problem: Problem, end: Round, *, columns: int):
     """Mean, prior variance and root of θ for the scales that were found, and how the judges err."""
-    at, belief, _ = end.found
+    at, belief, _, line = end.found
     flat, prior, unit = problem.Psi.reshape(-1, problem.Psi.shape[2]), problem.priors[at[1]], problem.number_unit[at[1]]
-    weight, given = problem.weights(at, end.unit), problem.answers(at, end.mistakes)
+    scale, spread = top_of(line)
+    weight, given = problem.weights(scale, end.unit), problem.answers(at, end.mistakes)
     seen = lambda factor: jnp.concatenate([weight[:, None] * factor, problem.offset], axis=1)
     belief = improved(seen(factor_of(flat, prior, columns)), given, belief, steps=POLISH[0], enough=POLISH[1])
     of = posterior_of(seen(flat * jnp.sqrt(prior)[None]), given, belief)
     root = unit * ((of.root * weight[None]) @ flat) * prior[None]
-    errors = Errors(problem.kappas[at[2]], end.mistakes, jnp.asarray(SCALES)[at[0]] / unit)
-    return (problem.mean(at, end.unit, belief.dual), unit**2 * prior, root), errors
+    errors = Errors(problem.kappas[at[2]], end.mistakes, scale / unit, spread)
+    return (problem.mean(at[1], weight * belief.dual), unit**2 * prior, root), errors
+
+
+def top_of(line: Float[Array, " scales"]) -> tuple[Scalar, Scalar]:
+    """The likeliest scale, and the standard deviation of its logarithm, by the parabola through the three best."""
+    logs = jnp.log(jnp.asarray(SCALES, line.dtype))
+    i = jnp.clip(jnp.argmax(line), 1, len(SCALES) - 2)
+    x, y = (jax.lax.dynamic_slice_in_dim(z, i - 1, 3) for z in (logs, line))
+    a, b, _ = jnp.linalg.solve((x - x[1])[:, None] ** jnp.array([[2, 1, 0]]), y - y[1])
+    bend = jnp.maximum(-2 * a, 1 / math.log(SURENESS) ** 2)  # the prior alone bends it so much
+    return jnp.exp(x[1] + jnp.clip(b / bend, x[0] - x[1], x[2] - x[1])), 1 / jnp.sqrt(bend)
 
 
 def factor_of(flat: Float[Array, "n D"], prior: Float[Array, " D"], columns: int) -> Float[Array, "n rank"]:

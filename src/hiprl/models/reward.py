@@ -99,6 +99,8 @@ class AdditiveReward(EstimatedReward):
     high: Scalar
     scale: Scalar
     """Size of r̂'s unit to who answers by levels, where a whole scale is 1."""
+    spread: Scalar
+    """Standard deviation of the belief about its logarithm: how much r̂ as a whole may be too large or too small."""
     kappa: Scalar
     """Scale of the error of their perception."""
 
@@ -110,8 +112,9 @@ class AdditiveReward(EstimatedReward):
 
     def gap_of(self, psi: Float[Array, " D"]) -> Gap:
         """The same for two clips whose sums of φ differ by ψ."""
+        mean = psi @ self.mean
         var = jnp.sum(psi**2 * self.prior) - jnp.sum((self.root @ psi) ** 2)
-        return Gap(psi @ self.mean, jnp.sqrt(jnp.maximum(var, 0.0)))
+        return Gap(mean, jnp.sqrt(jnp.maximum(var, 0.0) + (self.spread * mean) ** 2))
 
     def returns(self, T: Trajectories) -> Float[Array, " N"]:
         sums = jax.vmap(summed, in_axes=(None, 0))(self.features, T.rows) @ self.mean
@@ -221,7 +224,7 @@ def estimate_additive_reward(
         posterior = jax.tree.map(lambda x: x.astype(jnp.float32), posterior)
     mean, prior, root = posterior
     root = jnp.pad(root, ((0, P.capacity * (P.m - 2)), (0, 0)))  # as many rows as answers of any kind need
-    return additive_reward(T, features, mean, prior, root, jnp.ones(()), jnp.ones(()))
+    return additive_reward(T, features, mean, prior, root, jnp.ones(()), jnp.zeros(()), jnp.ones(()))
 
 
 @jax.jit
@@ -256,11 +259,11 @@ def _posterior(
 
 
 @jax.jit
-def additive_reward(T: Trajectories, features, mean, prior, root, scale, kappa) -> AdditiveReward:
+def additive_reward(T: Trajectories, features, mean, prior, root, scale, spread, kappa) -> AdditiveReward:
     """The posterior with the range of r̂ over the steps of T."""
     r, mask = values(features, every_step(features, T), mean), T.transitions().mask
     low = jnp.min(jnp.where(mask, r, jnp.inf))
     high = jnp.max(jnp.where(mask, r, -jnp.inf))
     margin = BOX_MARGIN * (high - low)
     unit = root_mean_square(r, mask)  # the seen range is within the box
-    return AdditiveReward(unit, features, mean, prior, root, low - margin, high + margin, scale, kappa)
+    return AdditiveReward(unit, features, mean, prior, root, low - margin, high + margin, scale, spread, kappa)
