@@ -23,7 +23,7 @@ from hiprl.models.features import AdditiveFeatures, Kernel, priors_of
 from hiprl.models.likelihood import Noise, for_each, responsibility
 from hiprl.models.reward import AdditiveReward, additive_reward, believed, clip_sums, evidence, most_steps
 from hiprl.models.sums import every_step, values
-from hiprl.models.variational import Answers, Belief, evidence_of, improved, posterior_of, thin, unknown
+from hiprl.models.variational import Answers, Belief, evidence_of, improved, left_out, posterior_of, thin, unknown
 from hiprl.types import Count, Flag, Scalar
 
 JUDGES = 16
@@ -37,6 +37,7 @@ COLUMNS_OF_NUMBERS = 4  # the same where there are numbers, whose errors are sma
 FULL = 6  # the same for the kernel that is kept
 STARTS = 32  # clips of a trajectory over which its spread is taken
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)  # candidates for the size of a typical difference, where a whole scale is 1
+USUAL = math.sqrt(2)  # size of the difference of two clips drawn at random, where their spread is 1
 SURENESS = 2.0  # factor by which a typical difference may well be another size than a whole scale
 BENT = 1.0  # nats that each tenfold greater share of the smooth part has to earn: few answers tell no curves
 KAPPAS = (0.03, 0.1, 0.3)  # candidates for κ where levels have two bounds; else only the ratio to the scale counts
@@ -323,9 +324,9 @@ def _search(
         A, given = seen(at, unit), problem.answers(at, mistakes)
         belief = carried(found.belief, weights(found.at, unit), weights(at, unit))
         belief = improved(A, given, belief, steps=STEPS, enough=ENOUGH)
-        score = evidence_of(A, given, belief) + problem.log_prior[at[1]]
+        score = evidence_of(A, given, belief) + left_out(A, given, belief) + problem.log_prior[at[1]]
         score -= jnp.sum(problem.filled & problem.number) * jnp.log(problem.number_unit[at[1]])
-        score -= 0.5 * (jnp.log(jnp.asarray(SCALES, score.dtype)[at[0]]) / math.log(SURENESS)) ** 2
+        score -= 0.5 * (jnp.log(jnp.asarray(SCALES, score.dtype)[at[0]] / USUAL) / math.log(SURENESS)) ** 2
         line = jnp.where(axis == 0, found.line.at[i].set(score), found.line)
         new, old = Found(at, belief, score, line), found._replace(line=line)
         return jax.tree.map(partial(jnp.where, score > found.score), new, old)
