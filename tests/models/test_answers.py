@@ -1,5 +1,6 @@
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, level, number, ranking, rating, slider
 from hiprl.data.preference import Clip, Preferences
-from hiprl.models.answers import estimate_from_answers
+from hiprl.models.answers import SCALES, estimate_from_answers, top_of
 from hiprl.models.features import Kernel
 from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
 from tests.models.worlds import linear_set, steps_of
@@ -162,6 +163,27 @@ def test_the_unit_of_the_judge_is_what_was_at_hand(T, estimated):
     early = dataclasses.replace(P, at_hand=jnp.full(K, 12))
     one, other = estimated(P, T)[0], estimated(early, T)[0]
     np.testing.assert_allclose(one.mean, other.mean, rtol=1e-4, atol=1e-4)
+
+
+def test_the_scale_is_the_top_of_the_parabola_through_what_was_tried():
+    for top, width in [(1.4, 0.3), (0.5, 0.6), (4.0, 0.2)]:
+        line = -0.5 * ((np.log(SCALES) - np.log(top)) / width) ** 2 - 17
+        scale, spread = top_of(jnp.asarray(line, jnp.float32))
+        assert float(scale) == pytest.approx(top, rel=1e-3) and float(spread) == pytest.approx(width, rel=1e-3)
+
+
+def test_past_the_last_candidate_the_scale_is_the_last():
+    scale, spread = top_of(jnp.asarray(9 * np.log(SCALES), jnp.float32))
+    assert float(scale) == pytest.approx(SCALES[-1]) and 0 < float(spread) < 1
+
+
+def test_an_unsure_unit_makes_great_gaps_unsure(T):
+    sure = estimate_additive_reward(answered(T, ["number"]), T, AdditiveConfig(), steps=16)
+    unsure = eqx.tree_at(lambda r: r.spread, sure, jnp.asarray(0.3))
+    pair = T.clip(Clip.at(3, 2, STEPS)), T.clip(Clip.at(7, 9, STEPS))
+    one, other = sure.gap(*pair), unsure.gap(*pair)
+    assert float(other.mean) == float(one.mean)
+    assert float(other.sigma) == pytest.approx(np.hypot(float(one.sigma), 0.3 * float(one.mean)), rel=1e-3)
 
 
 @pytest.mark.slow

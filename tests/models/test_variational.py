@@ -10,7 +10,7 @@ from scipy import stats
 from hiprl.data.answer import choice, level, ranking
 from hiprl.data.preference import Kind, Said
 from hiprl.models.likelihood import Noise, for_each, log_likelihood
-from hiprl.models.variational import Answers, evidence_of, improved, one_value, posterior_of, thin, unknown
+from hiprl.models.variational import Answers, evidence_of, improved, left_out, one_value, posterior_of, thin, unknown
 
 D, ROWS, KAPPA = 3, 11, 0.4
 
@@ -197,3 +197,18 @@ def test_a_step_that_makes_it_worse_is_taken_back():
     found = [float(reached(steps)) for steps in (1, 4, 8, 16, 32)]
     assert found == sorted(found)  # whole steps end at -1e7
     assert found[-1] > -100
+
+
+@pytest.mark.parametrize("size", [0.5, 2.0, 6.0])
+def test_what_the_bound_leaves_out_is_nearly_all_that_it_misses(size):
+    """One choice about a value whose prior is N(0, size²): the evidence by integration."""
+    told, how = stacked([choice(True)]), noise(mistake=0.02, rows=1)
+    A = jnp.full((1, 1), size, jnp.float32)
+    given = Answers(told, jnp.ones(1, bool), how)
+    belief = jax.jit(lambda: improved(A, given, unknown(A, 1), steps=20))()
+    u = np.linspace(-8 * size, 8 * size, 4001)
+    likelihood = 0.02 + 0.96 / (1 + np.exp(-u / KAPPA))
+    exact = np.log(np.sum(likelihood * stats.norm(0, size).pdf(u)) * (u[1] - u[0]))
+    bound = float(evidence_of(A, given, belief))
+    assert bound < exact
+    assert abs(bound + float(left_out(A, given, belief)) - exact) < 0.6 * (exact - bound)

@@ -162,9 +162,7 @@ def table_of_numbers(run: Record, facts: Facts) -> Table:
         "predicted answers, error": f"{known(facts['preference_deviation'])} in units of the return",
         "predicted answers, right sign": percent(facts["right_signs"]),
         "α, times σ of an answer": known(facts["alpha"]),
-        "worth of the next answer": "-"
-        if facts["worth"] is None
-        else f"{100 * facts['worth']:.3g} % of what was learned",
+        "worth of the next answer": worth_in_words(facts["worth"]),
         **(words_of(facts) if "held_out_accuracy" in facts else {}),
         "dynamics, one-step error": f"{known(facts['deviation'])} in units of the state",
         "dynamics, h-step error": ", ".join(f"{h}: {known(x)}" for h, x in facts["rollout_errors"].items()) or "-",
@@ -222,6 +220,11 @@ def table_of_arms(lines: Sequence[Facts]) -> Table:
 def known(x: float | None) -> str:
     """A number in four digits, or a dash."""
     return "-" if x is None else f"{x:.4g}"
+
+
+def worth_in_words(x: float | None) -> str:
+    """What an answer is worth, or a dash."""
+    return "-" if x is None else f"{f'{100 * x:.1f}' if x >= 1e-3 else 'under 0.1'} % of what was learned"
 
 
 def percent(x: float | None) -> str:
