@@ -11,7 +11,6 @@ Fine and Scheinberg (2001) for A.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import jax
@@ -232,21 +231,23 @@ def evidence_of(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Scala
 
 
 def left_out(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Scalar:
-    """By how much the bound is too low, to second order and for answers about one value each.
+    """By how much the bound is too low, to second order and for each answer by itself.
 
     Half the variance over the belief of what is neither linear nor quadratic in a log likelihood. Without it, scales
     would be found too small: the larger they are, the less a belief after a choice looks like a Gaussian.
     """
     said, filled, noise = given
-    if belief.S.shape[1] > 1:
-        return jnp.zeros((), A.dtype)
-    z, weights = (jnp.asarray(x, A.dtype) for x in points(1))
-    x, std = z[:, 0], jnp.sqrt(belief.S[:, 0, 0] + JITTER)
-    u = (A @ (A.T @ belief.dual))[None] + std[None] * z
-    value = jax.vmap(lambda u: for_each(log_likelihood, u[:, None], said, noise))(u)
-    hermite = jnp.stack([jnp.ones_like(x), x, (x**2 - 1) / math.sqrt(2)])
-    rest = weights @ value**2 - jnp.sum(((hermite * weights[None]) @ value) ** 2, axis=0)
-    return 0.5 * jnp.sum(jnp.where(filled & (said.kind != Kind.NUMBER), rest, 0.0))
+    rows, J, _ = belief.S.shape
+    z, weights = (jnp.asarray(x, A.dtype) for x in points(J))
+    L = jnp.linalg.cholesky(belief.S + JITTER * jnp.eye(J, dtype=A.dtype)[None])
+    u = (A @ (A.T @ belief.dual)).reshape(1, rows, J) + jnp.einsum("rij,zj->zri", L, z)
+    value = jax.vmap(lambda u: for_each(log_likelihood, u, said, noise))(u)
+    value = value - (weights @ value)[None]
+    linear = jnp.einsum("z,zr,zi->ri", weights, value, z)
+    quadratic = jnp.einsum("z,zr,zi,zj->rij", weights, value, z, z)
+    rest = weights @ value**2 - jnp.sum(linear**2, axis=1) - 0.5 * jnp.sum(quadratic**2, axis=(1, 2))
+    counted = filled & (said.kind != Kind.NUMBER)
+    return 0.5 * jnp.sum(jnp.where(counted, jnp.maximum(rest, 0.0), 0.0))
 
 
 def posterior_of(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Posterior:
