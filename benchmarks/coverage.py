@@ -22,8 +22,8 @@ PAIRS = 200
 FORMS = ("choice", "level", "slider", "ranking", "rating", "number")
 
 
-def said(form: str, u: Any, kappa: float, rng: Any) -> Answer:
-    """What the judge says of clips of these utilities, where a whole scale is 1."""
+def said(form: str, u: Any, kappa: float, whole: float, rng: Any) -> Answer:
+    """What the judge says of clips of these utilities, in units of a whole scale."""
     import numpy as np
 
     from hiprl.data.answer import choice, level, number, ranking, rating, slider
@@ -34,7 +34,7 @@ def said(form: str, u: Any, kappa: float, rng: Any) -> Answer:
     if form == "rating":
         return rating(fifth(u[0] + kappa * rng.logistic()), 5)
     if form == "number":
-        return number(float(u[0] - u[1]))
+        return number(float(whole * (u[0] - u[1])))
     apart = u[0] - u[1] + kappa * rng.logistic()
     if form == "choice":
         return choice(bool(apart > 0))
@@ -67,7 +67,12 @@ def coverage(form: str, answers: int, room: int, *, bent: bool, kappa: float, se
         i, t = rng.integers(N, size=m), rng.integers(H - CLIP + 1, size=m)
         u = (of(C, i, t) - middle) / whole
         given.append(
-            Given(said(form, u, kappa, rng), [(int(a), int(b), CLIP) for a, b in zip(i, t, strict=True)], 0, N)
+            Given(
+                said(form, u, kappa, float(whole), rng),
+                [(int(a), int(b), CLIP) for a, b in zip(i, t, strict=True)],
+                0,
+                N,
+            )
         )
     P = Preferences.of(given, room, m=max(2, CLIPS.get(form, 2)))
     reward, errors = estimate_from_answers(P, T, AdditiveConfig().kernels)
@@ -77,7 +82,8 @@ def coverage(form: str, answers: int, room: int, *, bent: bool, kappa: float, se
     phi = lambda i, t: reward_sum(reward, T, i, t)
     psi = phi(i[:, 0], t[:, 0]) - phi(i[:, 1], t[:, 1])
     gap = jax.vmap(reward.gap_of)(psi)
-    mean, sigma = np.asarray(gap.mean) * float(errors.scale), np.asarray(gap.sigma) * float(errors.scale)
+    unit = 1 / whole if form == "number" else float(errors.scale)  # numbers tell the unit of the reward
+    mean, sigma = np.asarray(gap.mean) * unit, np.asarray(gap.sigma) * unit
     inside = lambda size: float(np.mean(np.abs(size * true - mean) <= 1.645 * sigma))
     right = float(np.mean((mean > 0) == (true > 0)))
     return {"covered": inside(1.0), "fitted": inside((true @ mean) / (true @ true)), "in_order": right}

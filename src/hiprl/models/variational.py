@@ -252,9 +252,10 @@ def left_out(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Scalar:
 
 def posterior_of(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Posterior:
     """The belief in the form in which it is kept."""
-    K, (rows, J, _) = A @ A.T, belief.W.shape
-    n, eye = len(K), jnp.eye(J, dtype=A.dtype)[None]
-    V = jnp.where(given.filled[:, None, None], jnp.linalg.cholesky(belief.W + JITTER * eye), 0.0)  # VVᵀ = W
+    K, rows = A @ A.T, belief.W.shape[0]
+    n = len(K)
+    level, axes = jnp.linalg.eigh(belief.W)  # no Cholesky factor: rounding can leave a level below zero
+    V = jnp.where(given.filled[:, None, None], axes * jnp.sqrt(jnp.maximum(level, 0.0))[:, None], 0.0)  # VVᵀ = W
     # of the block diagonal matrix of V's blocks
     wide = jnp.einsum("rij,rs->risj", V, jnp.eye(rows, dtype=A.dtype)).reshape(n, n)
     L = jnp.linalg.cholesky(jnp.eye(n, dtype=A.dtype) + wide.T @ K @ wide)
