@@ -21,6 +21,7 @@ from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.features import AdditiveFeatures, Kernel, priors_of
 from hiprl.models.likelihood import Noise, for_each, responsibility
+from hiprl.models.relevance import relevance_of, spread_by
 from hiprl.models.reward import AdditiveReward, additive_reward, believed, clip_sums, evidence, most_steps
 from hiprl.models.sums import every_step, values
 from hiprl.models.variational import Answers, Belief, evidence_of, improved, left_out, posterior_of, thin, unknown
@@ -28,7 +29,7 @@ from hiprl.types import Count, Flag, Scalar
 
 JUDGES = 16
 """Judges whose mistakes are told apart; further ones count as the last."""
-ROUNDS = 4  # at most, of finding units and mistakes for the reward, and the reward for these
+ROUNDS = 6  # at most, of finding units and mistakes for the reward, and the reward for these
 SAME = 0.05  # relative change of units and mistakes below which the next round would find nothing new
 STEPS, ENOUGH = 10, 0.3  # Newton steps for a candidate at most, and the gain in nats of one that is the last
 POLISH = 20, 1e-3  # the same for the candidate that is kept
@@ -73,11 +74,9 @@ class Problem(NamedTuple):
     filled: Bool[Array, " K"]
     judge: Int[Array, " K"]
     priors: Float[Array, "kernels D"]
-    """The prior variance of θ for each kernel; each gives a typical answer the variance 1."""
+    """The prior variance of θ for each kernel, before any entry is more relevant than another."""
     log_prior: Float[Array, " kernels"]
     """How much each kernel is believed in, in nats."""
-    number_unit: Float[Array, " kernels"]
-    """What a number is divided by, for each of these."""
     kappas: Float[Array, " kappas"]
 
     @property
@@ -97,15 +96,25 @@ class Problem(NamedTuple):
         """What puts each row of Ψ into the unit of its answer."""
         return jnp.repeat(jnp.where(self.number, 1.0, scale / unit), self.Psi.shape[1])
 
-    def answers(self, at: At, mistakes: Float[Array, " judges"]) -> Answers:
+    def prior(self, i: Count, relevance: Float[Array, " entries"]) -> Float[Array, " D"]:
+        """The prior variance of θ under kernel i, in units in which a typical answer has variance 1."""
+        prior = spread_by(self.priors[i], relevance)
+        level = jnp.sum(jnp.sum(self.Psi**2, axis=(0, 1)) * prior) / jnp.maximum(jnp.sum(self.filled), 1)
+        return prior / jnp.where(level > 0, level, 1.0)
+
+    def number_unit(self, prior: Float[Array, " D"]) -> Scalar:
+        """What a number is divided by: the size that explains the numbers best."""
+        those = self.filled & self.number
+        g, A = jnp.where(those, self.said.low, 0.0), jnp.where(those[:, None], self.Psi[:, 0], 0.0)
+        K = (A * prior[None]) @ A.T + jnp.diag(jnp.where(those, NUMBER_ERROR, 1.0))
+        size = g @ jnp.linalg.solve(K, g) / jnp.maximum(jnp.sum(those), 1)
+        return jnp.where(size > 0, jnp.sqrt(size), 1.0)
+
+    def answers(self, at: At, number_unit: Scalar, mistakes: Float[Array, " judges"]) -> Answers:
         """The answers in their units."""
-        low = jnp.where(self.number, self.said.low / self.number_unit[at[1]], self.said.low)
+        low = jnp.where(self.number, self.said.low / number_unit, self.said.low)
         noise = Noise(self.kappas[at[2]], jnp.asarray(NUMBER_ERROR, low.dtype), mistakes[self.judge])
         return Answers(Said(self.said.kind, low, self.said.high, self.said.items), self.filled, noise)
-
-    def mean(self, i: Count, dual: Float[Array, " KJ"]) -> Float[Array, " D"]:
-        """Of θ under kernel i, given the belief about the values of the rows of Ψ."""
-        return self.number_unit[i] * self.priors[i] * (self.Psi.reshape(-1, self.Psi.shape[2]).T @ dual)
 
 
 class Found(NamedTuple):
@@ -128,6 +137,8 @@ class Round(NamedTuple):
     unit: Float[Array, " K"]
     """What a whole scale was at each answer, over that at the newest."""
     mistakes: Float[Array, " judges"]
+    relevance: Float[Array, " entries"]
+    """Prior variance of each entry's function, over the mean of all."""
     found: Found
 
 
@@ -155,7 +166,7 @@ def estimate_from_answers(
     numbers = Kind.NUMBER in kinds
     with jax.enable_x64(True):
         more = in_64_bits((priors_of(features, kernels), jnp.asarray(log_prior), jnp.asarray(kappas)))
-        problem = _problem(*in_64_bits((Psi, P.said)), P.filled, P.judge, *more, numbers=numbers)
+        problem = Problem(*in_64_bits((Psi, P.said)), P.filled, jnp.minimum(P.judge, JUDGES - 1), *more)
     with jax.enable_x64(numbers):  # whose errors are small
         end = _search(
             problem if numbers else in_32_bits(problem),
@@ -166,9 +177,12 @@ def estimate_from_answers(
             jnp.asarray(middle),
             columns=(COLUMNS_OF_NUMBERS if numbers else COLUMNS) * (features.low.shape[0] + 1),
             learn_mistakes=learn_mistakes,
+            numbers=numbers,
         )
     with jax.enable_x64(True):
-        posterior, errors = in_32_bits(_posterior(problem, in_64_bits(end), columns=FULL * (features.low.shape[0] + 1)))
+        posterior, errors = in_32_bits(
+            _posterior(problem, in_64_bits(end), columns=FULL * (features.low.shape[0] + 1), numbers=numbers)
+        )
     spread = jnp.zeros(()) if numbers else errors.spread  # a number has a unit of its own
     return additive_reward(T, features, *posterior, errors.scale, spread, errors.kappa), errors
 
@@ -211,25 +225,6 @@ def _with_ratings(features: AdditiveFeatures, T: Trajectories, P: Preferences, P
     against = shown - steps[:, None] * jax.vmap(average)(P.at_hand)
     rated = P.filled & (P.said.kind == Kind.RATING)
     return Psi.at[:, 0].set(jnp.where(rated[:, None], against, Psi[:, 0]))
-
-
-@partial(jax.jit, static_argnames=("numbers",))
-def _problem(Psi, said: Said, filled, judge, priors, log_prior, kappas, *, numbers: bool) -> Problem:
-    """The same in units in which a typical answer has variance 1."""
-    n = jnp.maximum(jnp.sum(filled), 1)
-    level = jnp.einsum("kjd,sd->s", Psi**2, priors) / n
-    priors, judge = priors / jnp.where(level > 0, level, 1.0)[:, None], jnp.minimum(judge, JUDGES - 1)
-    those = filled & (said.kind == Kind.NUMBER)
-    g, count = jnp.where(those, said.low, 0.0), jnp.sum(those)
-
-    def unit(prior):
-        A = jnp.where(those[:, None], Psi[:, 0], 0.0)
-        K = (A * prior[None]) @ A.T + jnp.diag(jnp.where(those, NUMBER_ERROR, 1.0))
-        size = g @ jnp.linalg.solve(K, g) / jnp.maximum(count, 1)
-        return jnp.where(size > 0, jnp.sqrt(size), 1.0)
-
-    units = jax.vmap(unit)(priors) if numbers else jnp.ones_like(log_prior)
-    return Problem(Psi, said, filled, judge, priors, log_prior, units, kappas)
 
 
 def lengths_of(P: Preferences) -> Int[Array, " L"]:
@@ -278,7 +273,7 @@ def visits_of(sizes: tuple[int, ...]) -> tuple[Int[np.ndarray, "first 3"], Int[n
     return np.array(first), np.array(later)
 
 
-@partial(jax.jit, static_argnames=("columns", "learn_mistakes"))
+@partial(jax.jit, static_argnames=("columns", "learn_mistakes", "numbers"))
 def _search(
     problem: Problem,
     features: AdditiveFeatures,
@@ -289,8 +284,9 @@ def _search(
     *,
     columns: int,
     learn_mistakes: bool,
+    numbers: bool,
 ) -> Round:
-    """The best scales, the units of the answers, and how the judges err.
+    """The best scales, the units of the answers, how the judges err, and what they go by.
 
     The scales are found one after the other: at first along all candidates for one with the others as they are, then
     among the nearest ones, until neither they nor the units of the answers change. Each candidate goes on from the
@@ -303,81 +299,92 @@ def _search(
     visits = jnp.concatenate([first, later])
     X, mask = every_step(features, T), jax.vmap(Trajectory.transitions)(T.rows).mask
     flat = problem.Psi.reshape(K * J, D)
-    factors = jax.vmap(lambda prior: factor_of(flat, prior, columns))(problem.priors)
+    none = jnp.ones((), flat.dtype)
 
     def weights(at: At, unit: Float[Array, " K"]) -> Float[Array, " KJ"]:
         return problem.weights(jnp.asarray(SCALES, flat.dtype)[at[0]], unit)
 
-    def seen(at: At, unit: Float[Array, " K"]) -> Float[Array, "KJ rank"]:
+    def seen(at: At, unit: Float[Array, " K"], prior: Float[Array, " D"]) -> Float[Array, "KJ rank"]:
         """Factor of the prior covariance of the values."""
-        return jnp.concatenate([weights(at, unit)[:, None] * factors[at[1]], problem.offset], axis=1)
+        return jnp.concatenate([weights(at, unit)[:, None] * factor_of(flat, prior, columns), problem.offset], axis=1)
+
+    def told_in(at: At, before: Round, prior: Float[Array, " D"]) -> Answers:
+        return problem.answers(at, problem.number_unit(prior) if numbers else none, before.mistakes)
 
     def carried(belief: Belief, before: Array, now: Array) -> Belief:
         """The same belief about θ, in other units."""
         return belief._replace(dual=belief.dual * (before / now) ** 2)
 
-    def tried(unit, mistakes, visit: Int[Array, "3"], found: Found) -> Found:
+    def tried(before: Round, visit: Int[Array, "3"], found: Found) -> Found:
         """What was found, or another candidate if it is better."""
         axis, to, nearby = visit
         i = jnp.clip(jnp.where(nearby, found.at[axis] + to, to), 0, jnp.asarray(sizes)[axis] - 1)
         at = found.at.at[axis].set(i)
-        A, given = seen(at, unit), problem.answers(at, mistakes)
-        belief = carried(found.belief, weights(found.at, unit), weights(at, unit))
+        prior = problem.prior(at[1], before.relevance)
+        A, given = seen(at, before.unit, prior), told_in(at, before, prior)
+        belief = carried(found.belief, weights(found.at, before.unit), weights(at, before.unit))
         belief = improved(A, given, belief, steps=STEPS, enough=ENOUGH)
         score = evidence_of(A, given, belief) + left_out(A, given, belief) + problem.log_prior[at[1]]
-        score -= jnp.sum(problem.filled & problem.number) * jnp.log(problem.number_unit[at[1]])
+        if numbers:
+            score -= jnp.sum(problem.filled & problem.number) * jnp.log(problem.number_unit(prior))
         score -= 0.5 * (jnp.log(jnp.asarray(SCALES, score.dtype)[at[0]] / USUAL) / math.log(SURENESS)) ** 2
         line = jnp.where(axis == 0, found.line.at[i].set(score), found.line)
         new, old = Found(at, belief, score, line), found._replace(line=line)
         return jax.tree.map(partial(jnp.where, score > found.score), new, old)
 
-    def erring(found: Found, unit, mistakes):
-        if not learn_mistakes:
-            return mistakes
-        A, given = seen(found.at, unit), problem.answers(found.at, mistakes)
-        f = (A @ (A.T @ found.belief.dual)).reshape(K, J)
+    def erring(A: Float[Array, "KJ rank"], given: Answers, belief: Belief) -> Float[Array, " judges"]:
+        f = (A @ (A.T @ belief.dual)).reshape(K, J)
         wrong = for_each(responsibility, f, given.said, given.noise)
-        none = jnp.zeros(JUDGES, wrong.dtype)
-        total = none.at[problem.judge].add(jnp.where(told, wrong, 0.0))
-        return (total + MISTAKE * TRUST) / (none.at[problem.judge].add(told) + TRUST)
+        nobody = jnp.zeros(JUDGES, wrong.dtype)
+        total = nobody.at[problem.judge].add(jnp.where(told, wrong, 0.0))
+        return (total + MISTAKE * TRUST) / (nobody.at[problem.judge].add(told) + TRUST)
 
     def one_round(before: Round) -> Round:
-        """The best candidates, and units and mistakes by what was found."""
-        unit, mistakes = before.unit, before.mistakes
+        """The best candidates, and units, mistakes and relevance by what was found."""
+        unit, mistakes, relevance = before.unit, before.mistakes, before.relevance
         begin, end = jnp.where(before.number == 0, jnp.asarray([0, len(first)]), jnp.asarray([len(first), len(visits)]))
         start = before.found._replace(score=jnp.full_like(before.found.score, -jnp.inf))
-        found = jax.lax.fori_loop(begin, end, lambda i, found: tried(unit, mistakes, visits[i], found), start)
-        theta = problem.mean(found.at[1], weights(found.at, unit) * found.belief.dual).astype(X.dtype)
-        r = values(features, X, theta).reshape(mask.shape)
-        now, wrong = units(r, T, P, lengths).astype(unit.dtype), erring(found, unit, mistakes)
+        found = jax.lax.fori_loop(begin, end, lambda i, found: tried(before, visits[i], found), start)
+        prior, weight = problem.prior(found.at[1], relevance), weights(found.at, unit)
+        A, given = seen(found.at, unit, prior), told_in(found.at, before, prior)
+        mean = prior * (flat.T @ (weight * found.belief.dual))  # but for the unit of numbers, which changes no ratio
+        root = ((posterior_of(A, given, found.belief).root * weight[None]) @ flat) * prior[None]
+        r = values(features, X, mean.astype(X.dtype)).reshape(mask.shape)
+        now, relevant = units(r, T, P, lengths).astype(unit.dtype), relevance_of(mean, prior, root, relevance)
+        wrong = erring(A, given, found.belief) if learn_mistakes else mistakes
         apart = jnp.maximum(far(jnp.where(problem.filled, now / unit, 1.0)), far(wrong / mistakes))
+        apart = jnp.maximum(apart, far(relevant / relevance))
         moved = jnp.any(found.at != before.found.at) | (apart > SAME) | (before.number == 0)
-        belief = carried(found.belief, weights(found.at, unit), weights(found.at, now))
-        return Round(before.number + 1, moved, now, wrong, found._replace(belief=belief))
+        belief = carried(found.belief, weight, weights(found.at, now))
+        return Round(before.number + 1, moved, now, wrong, relevant, found._replace(belief=belief))
 
     def far(ratio: Array) -> Scalar:
         return jnp.max(jnp.abs(jnp.log(ratio)))
 
-    unit = jnp.ones(K, flat.dtype)
-    nowhere = jnp.full(1 + len(SCALES), -jnp.inf, flat.dtype)
-    found = Found(middle, unknown(seen(middle, unit), K), nowhere[0], nowhere[1:])
-    start = Round(jnp.zeros((), jnp.int32), jnp.asarray(True), unit, jnp.full(JUDGES, MISTAKE, flat.dtype), found)
+    nowhere, unit = jnp.full(1 + len(SCALES), -jnp.inf, flat.dtype), jnp.ones(K, flat.dtype)
+    relevance = jnp.ones_like(features.low, flat.dtype)
+    A = seen(middle, unit, problem.prior(middle[1], relevance))
+    found = Found(middle, unknown(A, K), nowhere[0], nowhere[1:])
+    mistakes = jnp.full(JUDGES, MISTAKE, flat.dtype)
+    start = Round(jnp.zeros((), jnp.int32), jnp.asarray(True), unit, mistakes, relevance, found)
     return jax.lax.while_loop(lambda now: now.moved & (now.number <= ROUNDS), one_round, start)
 
 
-@partial(jax.jit, static_argnames=("columns",))
-def _posterior(problem: Problem, end: Round, *, columns: int):
+@partial(jax.jit, static_argnames=("columns", "numbers"))
+def _posterior(problem: Problem, end: Round, *, columns: int, numbers: bool):
     """Mean, prior variance and root of θ for the scales that were found, and how the judges err."""
     at, belief, _, line = end.found
-    flat, prior, unit = problem.Psi.reshape(-1, problem.Psi.shape[2]), problem.priors[at[1]], problem.number_unit[at[1]]
+    flat, prior = problem.Psi.reshape(-1, problem.Psi.shape[2]), problem.prior(at[1], end.relevance)
+    unit = problem.number_unit(prior) if numbers else jnp.ones((), flat.dtype)
     scale, spread = top_of(line)
-    weight, given = problem.weights(scale, end.unit), problem.answers(at, end.mistakes)
+    weight, given = problem.weights(scale, end.unit), problem.answers(at, unit, end.mistakes)
     seen = lambda factor: jnp.concatenate([weight[:, None] * factor, problem.offset], axis=1)
     belief = improved(seen(factor_of(flat, prior, columns)), given, belief, steps=POLISH[0], enough=POLISH[1])
     of = posterior_of(seen(flat * jnp.sqrt(prior)[None]), given, belief)
     root = unit * ((of.root * weight[None]) @ flat) * prior[None]
+    mean = unit * prior * (flat.T @ (weight * belief.dual))
     errors = Errors(problem.kappas[at[2]], end.mistakes, scale / unit, spread)
-    return (problem.mean(at[1], weight * belief.dual), unit**2 * prior, root), errors
+    return (mean, unit**2 * prior, root), errors
 
 
 def top_of(line: Float[Array, " scales"]) -> tuple[Scalar, Scalar]:

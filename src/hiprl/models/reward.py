@@ -24,10 +24,12 @@ from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.features import AdditiveFeatures, Kernel, priors_of, size_of
 from hiprl.models.network import Scaler
+from hiprl.models.relevance import by_entry, relevance_of, spread_by
 from hiprl.models.sums import columns, every_step, side_by_side, total, values
 from hiprl.types import Action, Reward, Scalar, State
 
 BOX_MARGIN = 0.25  # how far past the seen range a coordinate, and the reward itself, may count
+ROUNDS = 5  # of finding relevance for the scales, and scales for the relevance
 FINER = 1.0  # nats that a smooth part with a lengthscale e times as short has to earn
 MANY = 16_384  # steps over which the features' mean is taken where there are more
 TOGETHER, PART = 8, 512  # clips, and steps, whose features are made at a time: what stays near the processor
@@ -236,7 +238,10 @@ def _posterior(
     noises: Float[Array, " G"],
     believed: Float[Array, " G"],
 ):
-    """Mean, prior variance and root for the likeliest candidate: marginal likelihood times prior."""
+    """Mean, prior variance and root for the likeliest candidate: marginal likelihood times prior.
+
+    What is found relevant under one candidate changes which is the likeliest: a few rounds settle both.
+    """
     n = jnp.maximum(jnp.sum(filled), 1)
     square = jnp.sum(g**2) / n
     least = jnp.where(square > 0, 1e-12 * square, 1.0)  # in the judge's unit, whatever that is
@@ -251,11 +256,17 @@ def _posterior(
         log_det = 2 * jnp.sum(jnp.where(filled, jnp.log(jnp.diag(L)), 0.0))
         return log_prior - 0.5 * (n * jnp.log(scale) + log_det), (L, G_g, scale)
 
-    score, (L, G_g, scale) = jax.vmap(candidate)(priors, noises, believed)
-    best = jnp.argmax(score)
-    L, G_g, scale, prior = L[best], G_g[best], scale[best], priors[best]
-    half = jax.scipy.linalg.solve_triangular(L, Psi * prior[None], lower=True)
-    return prior * (Psi.T @ G_g), prior * scale, half * jnp.sqrt(scale)
+    def one_round(relevance: Float[Array, " entries"], _: None):
+        spread = spread_by(priors, relevance)
+        score, (L, G_g, scale) = jax.vmap(candidate)(spread, noises, believed)
+        best = jnp.argmax(score)
+        L, G_g, scale, prior = L[best], G_g[best], scale[best], spread[best]
+        half = jax.scipy.linalg.solve_triangular(L, Psi * prior[None], lower=True)
+        posterior = prior * (Psi.T @ G_g), prior * scale, half * jnp.sqrt(scale)
+        return relevance_of(*posterior, relevance), posterior
+
+    even = jnp.ones(by_entry(priors).shape[1], priors.dtype)
+    return jax.tree.map(lambda x: x[-1], jax.lax.scan(one_round, even, length=ROUNDS)[1])
 
 
 @jax.jit
