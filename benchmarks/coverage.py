@@ -1,8 +1,9 @@
 """How often the truth lies in the reward's 90 % intervals, for every kind of answer, on simulated judges.
 
-A true reward is drawn: linear in standardised coordinates, or with a bend in each. A judge perceives the difference of
-two clips in units of its spread over all clips, with a logistic error of scale --kappa, and answers in the form of the
-arm. Then 200 fresh pairs of clips: the share whose true difference lies within mean ± 1.645 σ_g of the predicted one.
+A true reward is drawn: linear in three of the standardised coordinates, in all, or with a bend in each as well. A judge
+perceives the difference of two clips in units of its spread over all clips, with a logistic error of scale --kappa, and
+answers in the form of the arm. Then 200 fresh pairs of clips: the share whose true difference lies within mean
+± 1.645 σ_g of the predicted one.
 The unit of r̂ is what the posterior says it is; `fitted` is the same with the unit that fits the true differences best,
 which says what is due to the unit. Means over seeds with the standard error.
 """
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from hiprl.data.answer import Answer
 
 PAIRS = 200
+TRUTHS = ("few", "linear", "bent")
+FEW = 3  # coordinates that count
 FORMS = ("choice", "level", "slider", "ranking", "rating", "number")
 
 
@@ -41,7 +44,7 @@ def said(form: str, u: Any, kappa: float, whole: float, rng: Any) -> Answer:
     return level(fifth(apart), 5) if form == "level" else slider(float(np.clip(apart, -1, 1)))
 
 
-def coverage(form: str, answers: int, room: int, *, bent: bool, kappa: float, seed: int) -> dict[str, float]:
+def coverage(form: str, answers: int, room: int, *, truth: str, kappa: float, seed: int) -> dict[str, float]:
     """Share of fresh differences in their intervals, and of these with the unit that fits best."""
     import jax
     import numpy as np
@@ -55,7 +58,10 @@ def coverage(form: str, answers: int, room: int, *, bent: bool, kappa: float, se
     x = np.concatenate([np.asarray(T.rows.states)[:, :-1], np.asarray(T.rows.actions)], axis=-1)
     x = (x - x.mean(axis=(0, 1))) / x.std(axis=(0, 1))
     n = x.shape[-1]
-    r = x @ rng.normal(size=n) + (bent * np.tanh(2 * x - rng.normal(size=n)) @ rng.normal(size=n))
+    counts = rng.permutation(n) < FEW if truth == "few" else np.ones(n, bool)
+    r = x @ (counts * rng.normal(size=n))
+    if truth == "bent":
+        r = r + np.tanh(2 * x - rng.normal(size=n)) @ rng.normal(size=n)
     total = lambda r: np.cumsum(np.pad(r, ((0, 0), (1, 0))), axis=1)
     of = lambda C, i, t: C[i, t + CLIP] - C[i, t]
     C = total(r)
@@ -121,14 +127,14 @@ def main() -> None:
     prepare()
     report, seeds = Report("Share of true differences in 90 % intervals"), seeds_of(options.seeds)
     for form in options.forms:
-        for bent in (False, True):
+        for truth in TRUTHS:
             for answers in options.answers:
-                more = {"bent": bent, "kappa": options.kappa}
+                more = {"truth": truth, "kappa": options.kappa}
                 found = [coverage(form, answers, max(options.answers), seed=seed, **more) for seed in seeds]
                 mean = {name: float(np.mean([one[name] for one in found])) for name in found[0]}
                 error = float(np.std([one["covered"] for one in found]) / np.sqrt(len(found)))
-                report.add(form=form, truth="bent" if bent else "linear", answers=answers, **mean, error=error)
-                progress(f"{form}, {'bent' if bent else 'linear'}, {answers}: {mean['covered']:.3f}")
+                report.add(form=form, truth=truth, answers=answers, **mean, error=error)
+                progress(f"{form}, {truth}, {answers}: {mean['covered']:.3f}")
     report.show()
     report.write(options.json, seeds=seeds, kappa=options.kappa)
 

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from hiprl.models.features import FREQUENCIES, INSIDE, REACH, WAVES
 
-FREEDOM = 0.1
+FREEDOM = 0.2
 """Degrees of freedom of the prior: the fewer, the more an entry may stand out or fall silent."""
 
 
