@@ -165,8 +165,9 @@ def estimate_from_answers(
     middle = len(SCALES) // 2, int(np.sum(length == length.max())) // 2, len(kappas) // 2
     numbers = Kind.NUMBER in kinds
     with jax.enable_x64(True):
-        more = in_64_bits((priors_of(features, kernels), jnp.asarray(log_prior), jnp.asarray(kappas)))
-        problem = Problem(*in_64_bits((Psi, P.said)), P.filled, jnp.minimum(P.judge, JUDGES - 1), *more)
+        wide = in_64_bits((Psi, P.said, priors_of(features, kernels)))
+        judge = jnp.minimum(P.judge, JUDGES - 1)
+        problem = Problem(wide[0], wide[1], P.filled, judge, wide[2], jnp.asarray(log_prior), jnp.asarray(kappas))
     with jax.enable_x64(numbers):  # whose errors are small
         end = _search(
             problem if numbers else in_32_bits(problem),
