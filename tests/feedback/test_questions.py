@@ -1,6 +1,7 @@
 from dataclasses import replace
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -83,7 +84,8 @@ def test_the_question_picked_is_worth_most(T, reward):
 
 
 def test_what_is_known_of_a_question_is_what_the_reward_says_of_its_clips(T, reward):
-    config = replace(TELLING, levels=None)  # then the worth is the log of σ_g
+    config = replace(TELLING, levels=None)  # then the worth is the log of σ_g, where the unit is known
+    reward = eqx.tree_at(lambda r: r.spread, reward, jnp.zeros(()))
     asked = questions.drawn(T, config, key=jr.key(4))
     worth = np.asarray(information(T, reward, asked, config))
     for i in np.flatnonzero(np.isfinite(worth))[:5]:
