@@ -98,6 +98,7 @@ def listening(host: str, port: int) -> socket.socket:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 listener.bind((host, tried))
+                listener.listen()  # until one does, two may hold the same port
             except OSError as e:
                 listener.close()
                 if e.errno not in (98, 48, 10048):  # in use, on Linux, macOS and Windows
