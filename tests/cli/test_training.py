@@ -66,7 +66,7 @@ def test_train_stores_a_run_and_tells_what_came_of_it(tmp_path: Path, capsys: py
     facts = json.loads(shown.out)
     assert [*facts] == KEYS
     assert (facts["env"], facts["seed"], facts["comparisons"], facts["eval_episodes"]) == ("linear", 11, 4, 3)
-    assert facts["env_steps"] == (5 + 5) * 7
+    assert facts["env_steps"] == (5 + Config().confirmations) * 7
     assert facts["store"] == str(store)
     lines = shown.err.splitlines()
     assert lines[0].startswith(f"Run {facts['run']}: linear, judge exact, 4 comparisons, seed 11; stored in {store}.")
