@@ -5,8 +5,8 @@ import pytest
 
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.features import WAVES, size_of, waves
-from hiprl.models.relevance import SIZE, by_entry, relevance_of, spread_by
+from hiprl.models.features import WAVES, by_entry, size_of, waves
+from hiprl.models.relevance import SIZE, relevance_of, spread_by
 from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
 from tests.data.samples import answers
 

@@ -24,19 +24,19 @@ from hiprl.models.likelihood import Noise, for_each, responsibility
 from hiprl.models.relevance import relevance_of, spread_by
 from hiprl.models.reward import AdditiveReward, additive_reward, believed, clip_sums, evidence, most_steps
 from hiprl.models.sums import every_step, values
+from hiprl.models.units import lengths_of, units
 from hiprl.models.variational import Answers, Belief, evidence_of, improved, left_out, posterior_of, thin, unknown
 from hiprl.types import Count, Flag, Scalar
 
 JUDGES = 16
 """Judges whose mistakes are told apart; further ones count as the last."""
-ROUNDS = 6  # at most, of finding units and mistakes for the reward, and the reward for these
-SAME = 0.05  # relative change of units and mistakes below which the next round would find nothing new
+ROUNDS = 6  # at most, of finding units, mistakes and relevance for the reward, and the reward for these
+SAME = 0.05  # relative change of these below which the next round would find nothing new
 STEPS, ENOUGH = 10, 0.3  # Newton steps for a candidate at most, and the gain in nats of one that is the last
 POLISH = 20, 1e-3  # the same for the candidate that is kept
 COLUMNS = 2  # of the prior's factor, for each coordinate, while kernels are weighed up
 COLUMNS_OF_NUMBERS = 4  # the same where there are numbers, whose errors are small
 FULL = 6  # the same for the kernel that is kept
-STARTS = 32  # clips of a trajectory over which its spread is taken
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)  # candidates for the size of a typical difference, where a whole scale is 1
 USUAL = math.sqrt(2)  # size of the difference of two clips drawn at random, where their spread is 1
 SURENESS = 2.0  # factor by which a typical difference may well be another size than a whole scale
@@ -46,7 +46,6 @@ KAPPA = 0.1
 NUMBER_ERROR = 1e-4  # variance of a number's error, over what the prior gives a number, where kinds are mixed
 OFFSET = 0.25  # variance of where a judge sees the middle of a rating
 MISTAKE, TRUST = 0.02, 20.0  # how often a judge errs, and how many answers this belief is worth
-LEAST_UNIT = 1e-3  # of an answer, in that of the newest one
 
 
 class Errors(NamedTuple):
@@ -228,44 +227,6 @@ def _with_ratings(features: AdditiveFeatures, T: Trajectories, P: Preferences, P
     return Psi.at[:, 0].set(jnp.where(rated[:, None], against, Psi[:, 0]))
 
 
-def lengths_of(P: Preferences) -> Int[Array, " L"]:
-    """Each length that first clips have, once, and some twice, so that few programs serve all. Not to be traced."""
-    lengths = np.unique(np.asarray(P.clips.length[:, 0]))
-    return jnp.asarray(np.resize(lengths, 1 << (len(lengths) - 1).bit_length()))
-
-
-def units(r: Float[Array, "N H"], T: Trajectories, P: Preferences, lengths: Int[Array, " L"]) -> Float[Array, " K"]:
-    """Spread of r̂ over the clips at hand at each answer, over that at the newest one.
-
-    Args:
-        r: r̂ at each step.
-        T: the trajectories.
-        P: the answers.
-        lengths: what `lengths_of` gives.
-    """
-    real = jax.vmap(Trajectory.transitions)(T.rows).mask
-    C = jnp.pad(jnp.cumsum(jnp.where(real, r, 0.0), axis=1), ((0, 0), (1, 0)))
-    i = jnp.arange(T.capacity)
-    there = ((i[None] < P.at_hand[:, None]) & T.filled[None]).astype(r.dtype)
-    count = STARTS * jnp.maximum(jnp.sum(there, axis=1), 1)
-
-    def spread(length: Count) -> Float[Array, " K"]:
-        n = jnp.minimum(length, T.rows.length)[:, None]
-        latest = T.rows.length[:, None] - n
-        t = (latest * jnp.arange(STARTS)[None]) // (STARTS - 1)
-        shown = jnp.where(T.filled[:, None], C[i[:, None], t + n] - C[i[:, None], t], 0.0)
-        own = jnp.mean(shown, axis=1)  # of each trajectory
-        within = jnp.sum((shown - own[:, None]) ** 2, axis=1)
-        middle = STARTS * (there @ own) / count
-        between = jnp.sum(there * (own[None] - middle[:, None]) ** 2, axis=1)
-        return jnp.sqrt((there @ within + STARTS * between) / count)
-
-    which = jnp.argmax(lengths[None] == P.clips.length[:, :1], axis=1)
-    found = jax.lax.map(spread, lengths)[which, jnp.arange(P.capacity)]
-    newest = found[jnp.maximum(P.count - 1, 0)]
-    return jnp.where(newest > 0, jnp.maximum(found / newest, LEAST_UNIT), 1.0)
-
-
 def visits_of(sizes: tuple[int, ...]) -> tuple[Int[np.ndarray, "first 3"], Int[np.ndarray, "later 3"]]:
     """What the first round and each later one look at: an axis, where to on it, and whether that is from here."""
     axes = [axis for axis, n in enumerate(sizes) if n > 1]
@@ -290,7 +251,7 @@ def _search(
     """The best scales, the units of the answers, how the judges err, and what they go by.
 
     The scales are found one after the other: at first along all candidates for one with the others as they are, then
-    among the nearest ones, until neither they nor the units of the answers change. Each candidate goes on from the
+    among the nearest ones, until neither they nor units, mistakes and relevance change. Each candidate goes on from the
     belief of the best before it, so that a few of Newton's steps do: an error of the belief counts by its square alone.
     """
     K, J, D = problem.Psi.shape
@@ -300,7 +261,6 @@ def _search(
     visits = jnp.concatenate([first, later])
     X, mask = every_step(features, T), jax.vmap(Trajectory.transitions)(T.rows).mask
     flat = problem.Psi.reshape(K * J, D)
-    none = jnp.ones((), flat.dtype)
 
     def weights(at: At, unit: Float[Array, " K"]) -> Float[Array, " KJ"]:
         return problem.weights(jnp.asarray(SCALES, flat.dtype)[at[0]], unit)
@@ -309,8 +269,8 @@ def _search(
         """Factor of the prior covariance of the values."""
         return jnp.concatenate([weights(at, unit)[:, None] * factor_of(flat, prior, columns), problem.offset], axis=1)
 
-    def told_in(at: At, before: Round, prior: Float[Array, " D"]) -> Answers:
-        return problem.answers(at, problem.number_unit(prior) if numbers else none, before.mistakes)
+    def number_unit(prior: Float[Array, " D"]) -> Scalar:
+        return problem.number_unit(prior) if numbers else jnp.ones((), flat.dtype)
 
     def carried(belief: Belief, before: Array, now: Array) -> Belief:
         """The same belief about θ, in other units."""
@@ -322,12 +282,12 @@ def _search(
         i = jnp.clip(jnp.where(nearby, found.at[axis] + to, to), 0, jnp.asarray(sizes)[axis] - 1)
         at = found.at.at[axis].set(i)
         prior = problem.prior(at[1], before.relevance)
-        A, given = seen(at, before.unit, prior), told_in(at, before, prior)
+        number = number_unit(prior)
+        A, given = seen(at, before.unit, prior), problem.answers(at, number, before.mistakes)
         belief = carried(found.belief, weights(found.at, before.unit), weights(at, before.unit))
         belief = improved(A, given, belief, steps=STEPS, enough=ENOUGH)
         score = evidence_of(A, given, belief) + left_out(A, given, belief) + problem.log_prior[at[1]]
-        if numbers:
-            score -= jnp.sum(problem.filled & problem.number) * jnp.log(problem.number_unit(prior))
+        score -= jnp.sum(problem.filled & problem.number) * jnp.log(number)
         score -= 0.5 * (jnp.log(jnp.asarray(SCALES, score.dtype)[at[0]] / USUAL) / math.log(SURENESS)) ** 2
         line = jnp.where(axis == 0, found.line.at[i].set(score), found.line)
         new, old = Found(at, belief, score, line), found._replace(line=line)
@@ -347,7 +307,7 @@ def _search(
         start = before.found._replace(score=jnp.full_like(before.found.score, -jnp.inf))
         found = jax.lax.fori_loop(begin, end, lambda i, found: tried(before, visits[i], found), start)
         prior, weight = problem.prior(found.at[1], relevance), weights(found.at, unit)
-        A, given = seen(found.at, unit, prior), told_in(found.at, before, prior)
+        A, given = seen(found.at, unit, prior), problem.answers(found.at, number_unit(prior), mistakes)
         mean = prior * (flat.T @ (weight * found.belief.dual))  # but for the unit of numbers, which changes no ratio
         root = ((posterior_of(A, given, found.belief).root * weight[None]) @ flat) * prior[None]
         r = values(features, X, mean.astype(X.dtype)).reshape(mask.shape)

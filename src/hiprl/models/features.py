@@ -68,10 +68,9 @@ class AdditiveFeatures(eqx.Module):
     def dot(self, s: State, a: Action, weights: Float[Array, " D"]) -> Scalar:
         """φ(s, a)ᵀ weights without writing φ out: what a search evaluates at every imagined step."""
         x = self.coordinates(s, a)
-        n = x.shape[0]
-        by_wave = weights[1 + n :].reshape(n, WAVES)
-        smooth = sum((by_wave[:, j] * wave for j, wave in enumerate(waves(x))), jnp.zeros_like(x))
-        return weights[0] + weights[1 : 1 + n] @ x + jnp.sum(smooth) - self.centre @ weights
+        of = by_entry(weights)
+        each = sum((of[:, m] * term for m, term in enumerate([x, *waves(x)])), jnp.zeros_like(x))
+        return weights[0] + jnp.sum(each) - self.centre @ weights
 
     def prior(self, kernel: Kernel) -> Float[Array, " D"]:
         """Prior variance of each weight."""
@@ -91,6 +90,13 @@ def priors_of(features: AdditiveFeatures, kernels: tuple[Kernel, ...]) -> Float[
 def size_of(n: int) -> int:
     """D for n coordinates."""
     return 1 + n * (1 + WAVES)
+
+
+def by_entry(x: Float[Array, "*n D"]) -> Float[Array, "*n n m"]:
+    """What of θ or φ belongs to each coordinate: its slope and its waves. The bias is left out."""
+    n = (x.shape[-1] - 1) // (1 + WAVES)
+    line, waves = x[..., 1 : 1 + n], x[..., 1 + n :]
+    return jnp.concatenate([line[..., None], waves.reshape(*x.shape[:-1], n, WAVES)], axis=-1)
 
 
 def spectrum(length: float) -> Float[np.ndarray, " j"]:

@@ -11,11 +11,12 @@ from jaxtyping import Array, Float
 
 from hiprl.data.preference import Kind, Preferences, Said
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.answers import KAPPA, MISTAKE, compared, lengths_of, units
+from hiprl.models.answers import KAPPA, MISTAKE, compared
 from hiprl.models.estimate import RewardConfig, estimate_reward
 from hiprl.models.likelihood import Noise, log_likelihood
 from hiprl.models.reward import AdditiveReward
 from hiprl.models.sums import every_step, values
+from hiprl.models.units import lengths_of, units
 
 DRAWS = 512  # from the belief about a held-out answer
 NUMBER_ERROR = 1e-3  # of a number, over the spread of all numbers: nobody counts more exactly

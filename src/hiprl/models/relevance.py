@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hiprl.models.features import FREQUENCIES, INSIDE, REACH, WAVES
+from hiprl.models.features import FREQUENCIES, INSIDE, REACH, WAVES, by_entry
 
 FREEDOM = 0.2
 """Degrees of freedom of the prior: the fewer, the more an entry may stand out or fall silent."""
@@ -29,13 +29,6 @@ def _size() -> Float[np.ndarray, "m m"]:
 
 
 SIZE = _size()
-
-
-def by_entry(x: Float[Array, "*n D"]) -> Float[Array, "*n entries m"]:
-    """What belongs to each entry: a line and its waves. The bias is left out."""
-    entries = (x.shape[-1] - 1) // (1 + WAVES)
-    line, waves = x[..., 1 : 1 + entries], x[..., 1 + entries :]
-    return jnp.concatenate([line[..., None], waves.reshape(*x.shape[:-1], entries, WAVES)], axis=-1)
 
 
 def spread_by(prior: Float[Array, "*n D"], relevance: Float[Array, " entries"]) -> Float[Array, "*n D"]:

@@ -22,9 +22,9 @@ from jaxtyping import Array, Bool, Float, Shaped
 from hiprl.data.preference import Clip, Preferences
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.features import AdditiveFeatures, Kernel, priors_of, size_of
+from hiprl.models.features import AdditiveFeatures, Kernel, by_entry, priors_of, size_of
 from hiprl.models.network import Scaler
-from hiprl.models.relevance import by_entry, relevance_of, spread_by
+from hiprl.models.relevance import relevance_of, spread_by
 from hiprl.models.sums import columns, every_step, side_by_side, total, values
 from hiprl.types import Action, Reward, Scalar, State
 

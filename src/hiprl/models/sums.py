@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.features import WAVES, AdditiveFeatures, waves
+from hiprl.models.features import AdditiveFeatures, by_entry, waves
 
 
 def side_by_side(s: Float[Array, "steps p"], a: Float[Array, "steps q"]) -> Float[Array, "n steps"]:
@@ -31,9 +31,8 @@ def terms(features: AdditiveFeatures, X: Float[Array, "n steps"]) -> list[Float[
 
     The means go before anything is added up: float32 has few digits to spare.
     """
-    n, flat = X.shape[0], X.reshape(-1)
+    flat, centres = X.reshape(-1), by_entry(features.centre)
     raw = [flat, *waves(flat)]
-    centres = jnp.concatenate([features.centre[1 : 1 + n, None], features.centre[1 + n :].reshape(n, WAVES)], axis=1)
     return [x.reshape(X.shape) - centres[:, m, None] for m, x in enumerate(raw)]
 
 
@@ -42,10 +41,9 @@ def values(
 ) -> Float[Array, " steps"]:
     """φᵀ weights at each step."""
     X, weights = jax.lax.optimization_barrier((X, weights))  # or a loop would keep all terms ready, in far more memory
-    n = X.shape[0]
-    of = jnp.concatenate([weights[1 : 1 + n, None], weights[1 + n :].reshape(n, WAVES)], axis=1)
+    of = by_entry(weights)
     each = sum((of[:, m, None] * term for m, term in enumerate(terms(features, X))), jnp.zeros_like(X))
-    return weights[0] + jnp.ones(n, X.dtype) @ each
+    return weights[0] + jnp.ones(X.shape[0], X.dtype) @ each
 
 
 def total(features: AdditiveFeatures, X: Float[Array, "n steps"], shown: Bool[Array, " steps"]) -> Float[Array, " D"]:
