@@ -162,7 +162,7 @@ class Asking:
         after = self.known.run
         self.disagrees = [k for k, right in sides_of(after, questions).items() if right == 0]
         if isinstance(reward, AdditiveReward):
-            self.weights = shares(shapes(reward, after.T), names_of(self.row, after.T))
+            self.weights = shares(reward, shapes(reward, after.T), names_of(self.row, after.T))
             self.opinions = opinions(self.store, self.row, after.T, P, self.config.reward)
 
     def _ask_again(self, k: int, questions: list[QuestionRow]) -> frozenset[ClipRow] | None:

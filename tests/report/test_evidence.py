@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from hiprl.models.estimate import estimate_reward
 from hiprl.models.quality import cross_validated, shapes
 from hiprl.models.reward import AdditiveConfig
 from hiprl.report.beliefs import beliefs
-from hiprl.report.evidence import agreement, as_said, consistency, evidence_of, opinions, quality, told
+from hiprl.report.evidence import GOING_ON, agreement, as_said, consistency, evidence_of, opinions, quality, told
 from hiprl.spec import to_plain
 from hiprl.store.rows import ClipRow
 from hiprl.store.store import open_store
@@ -194,3 +195,14 @@ def test_a_reward_is_told_by_the_names_of_what_it_goes_by(numbers, evidence):
     figure = beliefs(found.shapes, float(found.reward.unit), found.names, "a run")
     titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_visible()]
     assert titles[0].startswith("s[1]: ") and len(titles) == 5
+
+
+def test_that_an_episode_goes_on_is_told_where_answers_tell_it(numbers, evidence):
+    again, P = evidence
+    _, row = numbers
+    found = told(row, again, P, LINEAR)
+    assert GOING_ON not in found.weights  # all episodes are as long
+    long_lived = found._replace(reward=eqx.tree_at(lambda r: r.mean, found.reward, found.reward.mean.at[0].set(1e3)))
+    assert next(iter(long_lived.weights)) == GOING_ON and long_lived.weights[GOING_ON] > 0.9
+    figure = beliefs(found.shapes, 1.0, found.names, "a run", going_on=1e3)
+    assert "% is that it goes on at all" in " ".join(figure.get_suptitle().split())

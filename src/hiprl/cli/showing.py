@@ -47,7 +47,9 @@ def show(command: Show) -> Facts:
         facts |= quality(learned.T, learned.P, AdditiveConfig(), folds=FOLDS) | {"weights": learned.weights}
         facts |= judges
         unit = float(learned.reward.unit)
-        figures["beliefs"] = beliefs(learned.shapes, unit, learned.names, headline(run))
+        figures["beliefs"] = beliefs(
+            learned.shapes, unit, learned.names, headline(run), going_on=learned.reward.going_on
+        )
     out.print(table_of_numbers(run, facts))
     return facts | {"pictures": saved(figures, folder)}
 

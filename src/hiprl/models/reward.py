@@ -106,6 +106,11 @@ class AdditiveReward(EstimatedReward):
     kappa: Scalar
     """Scale of the error of their perception."""
 
+    @property
+    def going_on(self) -> float:
+        """What every step is worth, whatever it is like; 0 where no answer tells. Not to be traced."""
+        return float(self.mean[0])
+
     def __call__(self, s: State, a: Action) -> Scalar:
         return jnp.clip(self.features.dot(s, a, self.mean), self.low, self.high)
 

@@ -16,7 +16,7 @@ MOST = 6  # entries of state and action that are shown
 NORMAL_90 = 1.6449
 
 
-def beliefs(shapes: Shape, unit: float, names: Sequence[str], headline: str) -> Figure:
+def beliefs(shapes: Shape, unit: float, names: Sequence[str], headline: str, *, going_on: float = 0.0) -> Figure:
     """What the posterior rewards, one panel for each of the entries of (s, a) that count most.
 
     Args:
@@ -24,10 +24,12 @@ def beliefs(shapes: Shape, unit: float, names: Sequence[str], headline: str) -> 
         unit: a typical reward, so that a height of 1 is one.
         names: of the coordinates.
         headline: what the run is.
+        going_on: what every step is worth, whatever it is like, in the unit of r̂.
     """
     weights = np.asarray(shapes.weight)
     order = np.argsort(-weights)[:MOST]
-    share = weights / (weights.sum() or 1.0)
+    total = weights.sum() + abs(going_on) or 1.0
+    share = weights / total
     columns = 3 if len(order) > 2 else len(order)
     rows = -(-len(order) // columns)
     with look():
@@ -43,7 +45,10 @@ def beliefs(shapes: Shape, unit: float, names: Sequence[str], headline: str) -> 
             place.set_xlabel("its value")
         for place in axes[:, 0]:
             place.set_ylabel("reward a step")
-        words = "What it thinks you want: up is better, 1 is a typical reward; band: 90 % of the belief. " + headline
+        words = "What it thinks you want: up is better, 1 is a typical reward; band: 90 % of the belief. "
+        if going_on:
+            words += f"Of what counts, {100 * abs(going_on) / total:.0f} % is that it {'goes on' if going_on > 0 else 'ends'} at all. "
+        words += headline
         figure.suptitle(textwrap.fill(words, 34 * columns), x=0.01, ha="left", fontsize=9, color=GREY)
     return figure
 

@@ -23,6 +23,8 @@ from hiprl.store.store import Store
 from hiprl.world.names import numbered
 
 MOST = 5  # entries of state and action that are named
+GOING_ON = "going on"
+"""Beside them: what every step is worth, whatever it is like."""
 
 
 def evidence_of(store: Store, row: RunRow) -> tuple[Trajectories, Preferences]:
@@ -103,7 +105,7 @@ class Told(NamedTuple):
     @property
     def weights(self) -> dict[str, float]:
         """The entries that r̂ goes by most, with their share in it."""
-        return shares(self.shapes, self.names)
+        return shares(self.reward, self.shapes, self.names)
 
     @property
     def best(self) -> int:
@@ -111,11 +113,13 @@ class Told(NamedTuple):
         return int(np.argmax(np.asarray(self.reward.returns(self.T))))
 
 
-def shares(shapes: Shape, names: Sequence[str]) -> dict[str, float]:
-    """The entries of (s, a) that r̂ goes by most, with their share in it."""
-    weights = np.asarray(shapes.weight)
-    total = float(weights.sum()) or 1.0
-    return {str(names[j]): float(weights[j]) / total for j in np.argsort(-weights)[:MOST].tolist()}
+def shares(reward: AdditiveReward, shapes: Shape, names: Sequence[str]) -> dict[str, float]:
+    """What r̂ goes by most, with its share: entries of (s, a), and that an episode goes on, which is worth its bias."""
+    size = dict(zip(map(str, names), np.asarray(shapes.weight).tolist(), strict=True))
+    if reward.going_on:
+        size[GOING_ON] = abs(reward.going_on)
+    total = sum(size.values()) or 1.0
+    return {name: size[name] / total for name in sorted(size, key=lambda name: -size[name])[:MOST]}
 
 
 def told(row: RunRow, T: Trajectories, P: Preferences, config: AdditiveConfig) -> Told:
