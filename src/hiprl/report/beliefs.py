@@ -47,7 +47,8 @@ def beliefs(shapes: Shape, unit: float, names: Sequence[str], headline: str, *, 
             place.set_ylabel("reward a step")
         words = "What it thinks you want: up is better, 1 is a typical reward; band: 90 % of the belief. "
         if going_on:
-            words += f"Of what counts, {100 * abs(going_on) / total:.0f} % is that it {'goes on' if going_on > 0 else 'ends'} at all. "
+            kept = "goes on" if going_on > 0 else "ends"
+            words += f"Of what counts, {100 * abs(going_on) / total:.0f} % is that it {kept} at all. "
         words += headline
         figure.suptitle(textwrap.fill(words, 34 * columns), x=0.01, ha="left", fontsize=9, color=GREY)
     return figure
