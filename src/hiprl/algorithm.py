@@ -152,13 +152,13 @@ def attempt(run: Run, world: World, config: Config, *, key: Key) -> Attempt:
         FitDiverged: what the search believes to have reached is not finite.
     """
     search_key, world_key = jr.split(key)
-    state, tried, setbacks = restart(run, config)
+    state, setbacks = restart(run, config)
     if int(run.k) + 1 < config.warm_up:
         random = Uniform.draw(world.q, key=search_key) if config.babble == "varied" else Uniform(jnp.ones(()), world.q)
         return Attempt(world.roll_out(random, key=world_key), state, SearchReport.nothing(), searched=False)
     f_tilde = hallucinated(run, config)  # μ + βση, eq. (5)
     ends = ends_of(run, world)
-    more = {"tried": tried, "setbacks": setbacks, "key": search_key}
+    more = {"setbacks": setbacks, "key": search_key}
     state, report = search(f_tilde, run.reward, ends, run.T, state, config.search, **more)  # eq. (6)
     if not report.finite:
         raise FitDiverged(
@@ -233,8 +233,8 @@ def lived(run: Run, new: Attempt, calibration: Calibration, world: World, config
     return eqx.tree_at(lambda run: (run.T, run.dynamics, run.ending, run.calibration, run.archive), run, made)
 
 
-def restart(run: Run, config: Config) -> tuple[SearchState, Flag, Count]:
-    """Where the next search begins, whether that was executed, and how many searches from there went wrong.
+def restart(run: Run, config: Config) -> tuple[SearchState, Count]:
+    """Where the next search begins, and how many searches from there went wrong.
 
     It begins at the executed policy that the newest r̂ ranks best, or at the newest one. A search that went wrong is
     one whose policy did worse in the world than an older one, by r̂ and never by the true reward. To begin at the best
@@ -242,15 +242,14 @@ def restart(run: Run, config: Config) -> tuple[SearchState, Flag, Count]:
     the best is worse than random actions were, and does not improve, a search begins anew: an r̂ that was wrong at
     first can have led where no gradient leads back.
     """
-    tried = run.archive.filled
     if not config.restart:
-        return run.archive.get(run.T.last), tried[run.T.last], jnp.zeros((), jnp.int32)
-    returns = run.reward.returns(run.T)
+        return run.archive.get(run.T.last), jnp.zeros((), jnp.int32)
+    tried, returns = run.archive.filled, run.reward.returns(run.T)
     best = run.archive.best(returns)
     setbacks = jnp.where(tried[best], run.T.last - best, 0)
     lost = (setbacks >= LOST) & (returns[best] < jnp.max(jnp.where(tried, -jnp.inf, returns)))
     start = jnp.where(lost, 0, best)  # τ_0 is random: nothing is behind it
-    return run.archive.get(start), tried[start], jnp.where(lost, 0, setbacks)
+    return run.archive.get(start), jnp.where(lost, 0, setbacks)
 
 
 def hallucinated(run: Run, config: Config) -> Hallucinated:

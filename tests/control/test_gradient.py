@@ -7,11 +7,13 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
+from jax.tree_util import Partial
 
 from hiprl.control.gradient import GradientConfig, gradient_search, new_gradient
 from hiprl.control.imagined import trials
 from hiprl.control.plan import Follow
 from hiprl.rollout import roll_out
+from hiprl.types import Reward
 from hiprl.world.linear import default_linear
 from tests.control.known import known, quadratic, starts
 from tests.data.samples import p, q
@@ -31,7 +33,6 @@ CONFIG = GradientConfig(
 )
 TWO = np.array([0.3, -0.5])
 NONE = jnp.asarray(0)
-NO = jnp.asarray(False)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +41,7 @@ def search():
 
     @jax.jit
     def compiled(f_tilde, reward, unit, places, state, key):
-        settings = {"H": 1000, "tried": NO, "setbacks": NONE, "key": key}
+        settings = {"H": 1000, "setbacks": NONE, "key": key}
         return gradient_search(f_tilde, reward, unit, None, places, state, CONFIG, **settings)
 
     return compiled
@@ -108,9 +109,7 @@ def test_a_linear_system_is_driven_within_three_percent_of_its_optimum():
 
     @jax.jit
     def longer(f_tilde, reward, unit, places, state, key):
-        return gradient_search(
-            f_tilde, reward, unit, None, places, state, config, H=1000, tried=NO, setbacks=NONE, key=key
-        )
+        return gradient_search(f_tilde, reward, unit, None, places, state, config, H=1000, setbacks=NONE, key=key)
 
     task, state, _ = linear_search(longer, unit=0.02)
     task, state, _ = linear_search(longer, state=state, seed=3, unit=0.02)
@@ -161,7 +160,7 @@ def test_a_search_goes_less_far_from_where_others_went_wrong():
 
     @jax.jit
     def search(state, key, setbacks):
-        settings = {"H": 1000, "tried": NO, "setbacks": setbacks, "key": key}
+        settings = {"H": 1000, "setbacks": setbacks, "key": key}
         return gradient_search(known(), reward, jnp.asarray(1.0), None, starts(), state, config, **settings)
 
     whole, half, quarter, none = (
@@ -172,21 +171,48 @@ def test_a_search_goes_less_far_from_where_others_went_wrong():
     np.testing.assert_array_equal(half, none)
 
 
-def test_a_policy_that_was_executed_is_kept_where_nothing_better_is_found():
+def test_where_a_search_begins_is_not_executed_again():
     config = replace(CONFIG, updates=20, policy_rate=1e-3)
     reward = quadratic(R=np.eye(q), c=TWO)
 
     @partial(jax.jit, static_argnames=("config",))
-    def search(state, config, tried):
-        settings = {"H": 1000, "tried": jnp.asarray(tried), "setbacks": NONE, "key": jr.key(2)}
+    def search(state, config):
+        settings = {"H": 1000, "setbacks": NONE, "key": jr.key(2)}
         return gradient_search(known(), reward, jnp.asarray(1.0), None, starts(), state, config, **settings)
 
-    good, report = search(blank(), config, False)
-    wild = replace(config, policy_rate=1.0)
-    kept, as_before = search(good, wild, True)
-    np.testing.assert_allclose(modes(kept, starts().seen), modes(good, starts().seen), rtol=1e-5)
-    assert float(as_before.worst) == pytest.approx(float(report.worst), rel=0.05)
-    assert float(search(good, wild, False)[1].worst) < float(as_before.worst)
+    good, report = search(blank(), config)
+    other, worse = search(good, replace(config, policy_rate=1.0))
+    assert (modes(other, starts().seen) != modes(good, starts().seen)).any()
+    assert float(worse.worst) < float(report.worst)
+
+
+class One(Reward):
+    """Each step is worth the same."""
+
+    def __call__(self, s, a):
+        return jnp.ones(())
+
+
+@pytest.mark.parametrize("ends", [None, Partial(lambda s, a, s_next: s_next[0] > 0)])
+def test_a_value_that_is_off_everywhere_is_mended_before_the_policy_moves(ends):
+    """As after each answer, which gives r̂ another mean."""
+    scale = 1 / (1 - CONFIG.gamma)
+
+    def value_after(settling, off=3.0):
+        config = replace(CONFIG, settling=settling, chunks=1, updates=1, policy_rate=0.0)
+        state = eqx.tree_at(lambda state: state.value, blank(), blank().value.raised(off))
+        settings = {"H": 1000, "setbacks": NONE, "key": jr.key(2)}
+        found, _ = jax.jit(partial(gradient_search, config=config, **settings))(
+            known(), One(), jnp.asarray(1.0), ends, starts(), state
+        )
+        return np.asarray(jax.vmap(found.value)(starts().seen)) / scale
+
+    late, soon = value_after(0), value_after(60)
+    assert late.mean() > 2.5
+    if ends is None:
+        np.testing.assert_allclose(soon, 1.0, atol=0.1)
+    else:
+        assert 0.0 < soon.mean() < 1.0
 
 
 @pytest.mark.parametrize(("H", "gamma"), [(31, 0.99), (500, 0.99), (800, 0.99375), (1000, 0.995), (10_000, 0.995)])
@@ -224,7 +250,6 @@ def test_hope_makes_a_reward_out_of_reach_look_near(mode):
             state,
             CONFIG,
             H=1000,
-            tried=NO,
             setbacks=NONE,
             key=jr.key(2),
         )

@@ -24,7 +24,7 @@ from hiprl.control.policy import SquashedPolicy, Value
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.fit import descend, descent
 from hiprl.models.network import FEW, Activation, Scaler
-from hiprl.types import Count, Flag, Key, Policy, Reward, Scalar, State, stacked_size
+from hiprl.types import Count, Key, Policy, Reward, Scalar, State, stacked_size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +50,10 @@ class GradientConfig:
     """Learning rate of the value (Adam)."""
     value_updates: int = 4
     """Updates of the value for each of the policy."""
+    settling: int = 200
+    """Updates of the value alone before the policy moves: it is that of an older model and an older r̂."""
+    offset_rate: float = 0.1
+    """Share of what the value is off by in all states alike that is mended with each update."""
     gamma: float | None = None
     """Discount a step; None for 1 - 5/H, between 0.99 and 0.995: long episodes need a longer sight."""
     lambda_: float = 1.0
@@ -96,7 +100,6 @@ def gradient_search(
     config: GradientConfig,
     *,
     H: int,
-    tried: Flag,
     setbacks: Count,
     key: Key,
 ) -> tuple[SearchState, SearchReport]:
@@ -110,7 +113,6 @@ def gradient_search(
         starts: where rollouts begin.
         state: policy and value of the search before.
         H: most steps in an episode; a trial lasts no longer.
-        tried: whether the policy of `state` was executed: it is kept where no later iterate is better.
         setbacks: searches from `state` that went wrong in the world; after any, this one is half as long.
     """
     gamma = config.discount(H)
@@ -122,7 +124,10 @@ def gradient_search(
     value_opt = optax.adam(config.value_rate)
 
     def imagine(world: Hallucinated, policy: SquashedPolicy, target: Value, s_0: State, draws: tuple[Array, Array]):
-        """States, TD(λ) returns and weights along one rollout; the returns carry the policy's gradient."""
+        """States, TD(λ) returns, how much of each is V, and weights along one rollout.
+
+        The returns carry the policy's gradient.
+        """
 
         # What one step needs of the one before, and no more: the rest is cheaper for all steps at once.
         def step(s: State, now: tuple[Float[Array, " size"], State]):
@@ -136,13 +141,14 @@ def gradient_search(
         on, alive = along(ends, s, a, s_next)
         v_next = jax.vmap(target)(s_next)
 
-        def backward(after: Scalar, now: tuple[Scalar, Scalar, Scalar]):
+        def backward(after: tuple[Scalar, Scalar], now: tuple[Scalar, Scalar, Scalar]):
             r, on, v = now
-            ret = r + gamma * on * ((1 - config.lambda_) * v + config.lambda_ * after)
-            return ret, ret
+            mixed = lambda v, after: gamma * on * ((1 - config.lambda_) * v + config.lambda_ * after)
+            both = r + mixed(v, after[0]), mixed(1.0, after[1])
+            return both, both
 
-        _, returns = jax.lax.scan(backward, v_next[-1], (r, on, v_next), reverse=True)
-        return jax.lax.stop_gradient(s), returns, alive
+        _, (returns, of_value) = jax.lax.scan(backward, (v_next[-1], jnp.ones(())), (r, on, v_next), reverse=True)
+        return jax.lax.stop_gradient(s), returns, of_value, alive
 
     over_rollouts = jax.vmap(imagine, in_axes=(None, None, None, 0, 0))
     over_worlds = jax.vmap(over_rollouts, in_axes=(axis, None, None, 0, 0))
@@ -154,7 +160,7 @@ def gradient_search(
         first = jr.choice(first_key, starts.first, shape)
         return jnp.where(jr.bernoulli(which_key, config.from_start, (*shape, 1)), first, seen)
 
-    def update(carry, update_key: Key):
+    def update(carry, update_key: Key, *, moving: bool):
         policy, value, target, policy_state, value_state = carry
         start_key, act_key, f_key = jr.split(update_key, 3)
         s_0 = draw_starts(start_key)
@@ -164,13 +170,17 @@ def gradient_search(
         # Of the first state alone: the later ones are the policy's own doing. The sum over all of them, as Dreamer has
         # it, pays for reaching good states once for each step before, and makes actions up to twice too strong.
         def policy_loss(policy: SquashedPolicy):
-            s, returns, alive = over_worlds(worlds, policy, target, s_0, draws)
-            return -jnp.mean(returns[..., 0]) / scale, (s, returns, alive)
+            seen = over_worlds(worlds, policy, target, s_0, draws)
+            return -jnp.mean(seen[1][..., 0]) / scale, seen
 
-        gradient, (s, returns, alive) = jax.grad(policy_loss, has_aux=True)(policy)
-        policy, policy_state = descend(policy_opt, policy, frozen_inputs(gradient), policy_state)
+        if moving:
+            gradient, seen = jax.grad(policy_loss, has_aux=True)(policy)
+            policy, policy_state = descend(policy_opt, policy, frozen_inputs(gradient), policy_state)
+        else:
+            seen = over_worlds(worlds, policy, target, s_0, draws)
 
-        flat_s, goal, weight = s.reshape(-1, s.shape[-1]), returns.reshape(-1) / scale, alive.reshape(-1)
+        s, returns, of_value, weight = seen
+        flat_s, goal, weight = s.reshape(-1, s.shape[-1]), returns.reshape(-1) / scale, weight.reshape(-1)
         goal = jax.lax.stop_gradient(goal)
 
         def value_loss(value: Value, rows: Int[Array, " rows"]):
@@ -188,6 +198,11 @@ def gradient_search(
         n = flat_s.shape[0] // config.value_updates * config.value_updates
         rows = jnp.arange(n).reshape(-1, config.value_updates).T
         (value, target, value_state), _ = jax.lax.scan(value_step, (value, target, value_state), rows)
+        # What V is off by in all states alike, as when r̂ has another mean, shows in returns of a few steps at a few
+        # hundredths of its size, and would take 1/(1 - γ) steps to go.
+        error = jnp.sum(weight * (goal - jax.vmap(target)(flat_s) / scale))
+        off = error / jnp.maximum(jnp.sum(weight * (1 - of_value.reshape(-1))), 1e-6 * weight.shape[0])
+        value, target = (V.raised(config.offset_rate * off) for V in (value, target))
         return (policy, value, target, policy_state, value_state), None
 
     everywhere = f_tilde.in_each_member()
@@ -199,7 +214,7 @@ def gradient_search(
     def chunk(_, carry):
         learner, best, best_report, key = carry
         key, update_key, trial_key = jr.split(key, 3)
-        learner, _ = jax.lax.scan(update, learner, jr.split(update_key, config.updates))
+        learner, _ = jax.lax.scan(partial(update, moving=True), learner, jr.split(update_key, config.updates))
         policy, value = learner[:2]
         report = trial(policy, trial_key)
         better = report.finite & ~(report.worst <= best_report.worst)
@@ -208,9 +223,10 @@ def gradient_search(
         return learner, best, jax.tree.map(keep, report, best_report), key
 
     learner = (policy, value, value, descent(policy_opt, policy), descent(value_opt, value))
-    first_key, key = jr.split(key)
-    first = jax.tree.map(partial(jnp.where, tried), trial(policy, first_key), SearchReport.nothing())
-    carry = (learner, SearchState(policy, value), first, key)
+    settle_key, key = jr.split(key)
+    learner, _ = jax.lax.scan(partial(update, moving=False), learner, jr.split(settle_key, config.settling))
+    # Where the search begins is no candidate: it was executed, and to execute it again would teach nothing.
+    carry = (learner, state, SearchReport.nothing(), key)
     # A policy near one that holds in the world is likelier to hold there: the model is at fault further away.
     length = jnp.maximum(config.chunks >> jnp.minimum(setbacks, 1), 1)
     _, best, report, _ = jax.lax.fori_loop(0, length, chunk, carry)

@@ -17,7 +17,7 @@ from hiprl.hallucinated import Hallucinated
 from hiprl.models.network import state_scaler
 from hiprl.models.reward import EstimatedReward
 from hiprl.models.rows import RowDraw
-from hiprl.types import Count, Flag, Key
+from hiprl.types import Count, Key
 
 SearchConfig: TypeAlias = GradientConfig | PPOConfig
 SEEN_STATES = 8192  # as many as one search draws its starts from
@@ -38,7 +38,6 @@ def search(
     state: SearchState,
     config: SearchConfig,
     *,
-    tried: Flag | bool = False,
     setbacks: Count | int = 0,
     key: Key,
 ) -> tuple[SearchState, SearchReport]:
@@ -51,7 +50,6 @@ def search(
         T: trajectories whose states imagined rollouts start from.
         state: where to start: the policy and value of an earlier search.
         config: the method and its settings.
-        tried: whether the policy of `state` was executed: if nothing better is found, it is kept.
         setbacks: earlier searches from `state` whose policy did worse in the world than that of `state`.
     """
     start_key, search_key = jr.split(key)
@@ -60,6 +58,6 @@ def search(
     starts = Starts(seen, T.first_states(), state_scaler(T))
     H = T.rows.actions.shape[1]
     if isinstance(config, GradientConfig):
-        more = {"H": H, "tried": jnp.asarray(tried), "setbacks": jnp.asarray(setbacks), "key": search_key}
+        more = {"H": H, "setbacks": jnp.asarray(setbacks), "key": search_key}
         return gradient_search(f_tilde, reward, reward.unit, ends, starts, state, config, **more)
     return ppo_search(f_tilde, reward, ends, starts, state, config, H=H, key=search_key)
