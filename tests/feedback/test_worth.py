@@ -61,8 +61,8 @@ def by_draws(T, reward, config, answers):
         said = answers(theta @ one, rng)
         after = [(np.mean(said == x), R[said == x].mean(axis=0).max()) for x in np.unique(said)]
         gains.append(sum(p * best for p, best in after) - R.mean(axis=0).max())
-    mean = R.mean(axis=0)
-    return max(gains) / (mean.max() - mean.mean())
+    episodes = np.asarray(reward.returns(T))[: int(T.count)]
+    return max(gains) / (R.mean(axis=0).max() - episodes.mean() / H)
 
 
 def chosen(reward, levels):

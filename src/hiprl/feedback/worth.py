@@ -27,7 +27,8 @@ SPAN = 50  # steps of a clip that shows a behaviour
 
 @partial(jax.jit, static_argnames=("config",))
 def worth(T: Trajectories, reward: AdditiveReward, config: QuestionConfig, *, key: Key) -> Scalar:
-    """Expected gain by the answer to the best question, over what the best behaviour in sight exceeds the average one.
+    """Expected gain by the answer to the best question, over what the best behaviour in sight, kept up for a whole
+    episode, exceeds the average episode.
 
     0 says that no answer is expected to change what is wanted; 0.1 that what is then done is better by a tenth of what
     is to be had; 1, which is the most, that nearly nothing is known yet. NaN for questions about more than two clips.
@@ -59,7 +60,8 @@ def worth(T: Trajectories, reward: AdditiveReward, config: QuestionConfig, *, ke
     best = jnp.max(jnp.where(there[None, None], after, -jnp.inf), axis=-1)
     now = jnp.max(jnp.where(there, returns, -jnp.inf))
     gain = jnp.max(jnp.sum(chance * best, axis=1) - now)
-    mean = jnp.sum(jnp.where(there, returns, 0.0)) / jnp.maximum(jnp.sum(there), 1)
+    episodes = jnp.where(T.filled, reward.returns(T), 0.0)  # one that ended early earned no more
+    mean = jnp.sum(episodes) / jnp.maximum(T.count * T.rows.actions.shape[1], 1)
     return jnp.clip(gain / jnp.maximum(now - mean, 1e-12), 0.0, 1.0)
 
 
