@@ -18,7 +18,7 @@ from jax.tree_util import Partial
 from hiprl.config import Config
 from hiprl.control.archive import Archive
 from hiprl.control.imagined import Ends, SearchReport, SearchState
-from hiprl.control.plan import Follow, planned
+from hiprl.control.plan import Follow, Noisy, planned
 from hiprl.control.policy import Uniform
 from hiprl.control.search import new_search, search
 from hiprl.data.answer import Answer
@@ -166,7 +166,7 @@ def attempt(run: Run, world: World, config: Config, *, key: Key) -> Attempt:
             "finite. The run is stored up to the episode before: try a smaller learning rate, or another seed."
         )
     acting = planned(state, f_tilde, run.reward, ends, config.plan, q=world.q, gamma=config.search.discount(world.H))
-    return Attempt(world.roll_out(acting, key=world_key), state, report, searched=True)  # plans (a, η), executes a
+    return Attempt(world.roll_out(Noisy(acting, config.plan.noise), key=world_key), state, report, searched=True)  # plans (a, η), executes a
 
 
 def propose(run: Run, world: World, config: Config, *, key: Key) -> Question:

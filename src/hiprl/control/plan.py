@@ -28,6 +28,8 @@ class PlanConfig:
 
     kind: Plan = "none"
     """One of `none`, `sample`, `mpc`."""
+    noise: float = 0.1
+    """Standard deviation of what is added to each action while it learns; actions are in [-1, 1]."""
     proposals: int = 64
     """Sequences of (a, η) compared in one iteration (mpc)."""
     elites: int = 8
@@ -58,6 +60,18 @@ class Follow(Actor):
     def act(self, s: State, *, key: Key) -> Action:
         action_and_eta = self.policy.sample(s, key=key) if self.explore else self.policy.mode(s)
         return action_and_eta[: self.q]
+
+
+class Noisy(Actor):
+    """Does nearly what another would do: so it learns what else could be done, where it always did the same."""
+
+    actor: Actor
+    noise: float = eqx.field(static=True)
+
+    def act(self, s: State, *, key: Key) -> Action:
+        act_key, noise_key = jr.split(key)
+        a = self.actor.act(s, key=act_key)
+        return jnp.clip(a + self.noise * jr.normal(noise_key, a.shape), -1.0, 1.0)
 
 
 class Mpc(Actor):
