@@ -240,6 +240,13 @@ def test_a_policy_that_was_lucky_once_is_found_out(runs, world):
     assert int(chosen) == best and int(steps) == 0
 
 
+def test_what_is_executed_is_the_policy_and_some_noise(runs, world):
+    question = runs[1][-1].question
+    tau, policy = question.tau, question.attempt.state.policy
+    off = np.asarray(tau.actions - jax.vmap(policy.mode)(tau.states[:-1])[:, : world.q])[: int(tau.length)]
+    assert 0.03 < off.std() < 0.15 and np.abs(off).max() < 0.6
+
+
 def test_a_run_that_plans_keeps_its_planner(runs, world):
     actor = best_actor(runs[0][-1], world, replace(TINY, plan=PlanConfig(kind="mpc")))
     assert isinstance(actor, Mpc)

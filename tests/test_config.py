@@ -107,6 +107,7 @@ WITHOUT_A_MEANING = {
     "one member": lambda: DynamicsConfig(M=1),
     "one reward network": lambda: NetworkConfig(members=1),
     "more elites than proposals": lambda: PlanConfig(elites=65),
+    "noise as large as the box": lambda: PlanConfig(noise=1.0),
     "a seed that is too large": lambda: RunSpec(seed=1 << 32, config=Config(), judge="exact"),
     "a negative seed": lambda: RunSpec(seed=-1, config=Config(), judge="exact"),
 }

@@ -166,7 +166,8 @@ def attempt(run: Run, world: World, config: Config, *, key: Key) -> Attempt:
             "finite. The run is stored up to the episode before: try a smaller learning rate, or another seed."
         )
     acting = planned(state, f_tilde, run.reward, ends, config.plan, q=world.q, gamma=config.search.discount(world.H))
-    return Attempt(world.roll_out(Noisy(acting, config.plan.noise), key=world_key), state, report, searched=True)  # plans (a, η), executes a
+    tau = world.roll_out(Noisy(acting, config.plan.noise), key=world_key)  # plans (a, η), executes a
+    return Attempt(tau, state, report, searched=True)
 
 
 def propose(run: Run, world: World, config: Config, *, key: Key) -> Question:

@@ -187,7 +187,7 @@ def paper(env: str) -> Config:
         ),
         reward=NetworkConfig(),
         search=PAPER_CHEETAH if "HalfCheetah" in env else PAPER_PENDULUM,
-        plan=PlanConfig(kind="sample"),
+        plan=PlanConfig(kind="sample", noise=0.0),
     )
 
 

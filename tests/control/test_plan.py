@@ -9,7 +9,7 @@ import pytest
 
 from hiprl.control.gradient import GradientConfig, new_gradient
 from hiprl.control.imagined import SearchState
-from hiprl.control.plan import Follow, Mpc, PlanConfig, planned
+from hiprl.control.plan import Follow, Mpc, Noisy, PlanConfig, planned
 from hiprl.control.policy import Value
 from hiprl.models.network import MLP
 from tests.control.known import known, quadratic, starts
@@ -55,6 +55,18 @@ def test_a_plan_of_none_follows_the_mode_and_a_sample_draws(act):
     np.testing.assert_allclose(a, state.policy.mode(s), rtol=1e-5)
     drawn = act(actor("sample", known(B=B), quadratic(), state=state), s, jr.key(1))
     np.testing.assert_allclose(drawn, state.policy.sample(s, key=jr.key(1)), rtol=1e-5)
+
+
+def test_while_it_learns_an_actor_does_nearly_what_the_plan_says(act):
+    state, s = state_of(loud=300.0), jnp.array([0.3, -0.4, 0.6])
+    plain = actor("none", known(B=B), quadratic(), state=state)
+    drawn = np.asarray(jax.vmap(lambda key: Noisy(plain, 0.1).act(s, key=key))(jr.split(jr.key(1), 4000)))
+    a = np.asarray(act(plain, s, jr.key(1)))
+    inside = np.abs(a) < 0.6
+    assert (np.abs(drawn) <= 1).all() and inside.any()
+    np.testing.assert_allclose(drawn.mean(axis=0)[inside], a[inside], atol=0.01)
+    np.testing.assert_allclose(drawn.std(axis=0)[inside], 0.1, rtol=0.1)
+    np.testing.assert_allclose(act(Noisy(plain, 0.0), s, jr.key(1)), a)
 
 
 @pytest.mark.parametrize("kind", ["none", "sample", "mpc"])

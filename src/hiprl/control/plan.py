@@ -29,7 +29,8 @@ class PlanConfig:
     kind: Plan = "none"
     """One of `none`, `sample`, `mpc`."""
     noise: float = 0.1
-    """Standard deviation of what is added to each action while it learns; actions are in [-1, 1]."""
+    """Standard deviation of what is added to each executed action, in [-1, 1], while it learns; nothing is added when a
+    policy is confirmed and reported."""
     proposals: int = 64
     """Sequences of (a, η) compared in one iteration (mpc)."""
     elites: int = 8
@@ -42,6 +43,11 @@ class PlanConfig:
     """Standard deviation of the first round around the policy's own sequence; actions are in [-1, 1]."""
 
     def __post_init__(self) -> None:
+        if not 0 <= self.noise < 1:
+            raise InputError(
+                f"got a noise of {self.noise} for actions that are in [-1, 1]; it is at least 0 and less than 1. "
+                "Take 0.1, or 0 to execute the policy as it is."
+            )
         if self.kind not in PLANS or not 1 <= self.elites <= self.proposals:
             raise InputError(
                 f"got the plan {self.kind!r} with {self.elites} elites of {self.proposals} proposals; a plan is one of "
@@ -63,7 +69,11 @@ class Follow(Actor):
 
 
 class Noisy(Actor):
-    """Does nearly what another would do: so it learns what else could be done, where it always did the same."""
+    """Does nearly what another would do.
+
+    A policy without noise can come to rest where it is stuck, and repeat one state and one action for the rest of an
+    episode: the model never sees what else could have been done there, and believes that the policy gets away.
+    """
 
     actor: Actor
     noise: float = eqx.field(static=True)
