@@ -29,8 +29,9 @@ SPAN = 50  # steps of a clip that shows a behaviour
 def worth(T: Trajectories, reward: AdditiveReward, config: QuestionConfig, *, key: Key) -> Scalar:
     """Expected gain by the answer to the best question, over what the best behaviour exceeds the average episode.
 
-    Both are per step, and the behaviour is kept up for a whole episode. 0 says that no answer is expected to change what is wanted; 0.1 that what is then done is better by a tenth of what
-    is to be had; 1, which is the most, that nearly nothing is known yet. NaN for questions about more than two clips.
+    Both are per step, and the behaviour is kept up for a whole episode. 0 says that no answer is expected to change
+    what is wanted; 0.1 that what is then done is better by a tenth of what is to be had; 1, which is the most, that
+    nearly nothing is known yet. NaN for questions about more than two clips.
 
     Args:
         T: the trajectories.
