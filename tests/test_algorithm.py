@@ -171,9 +171,9 @@ def test_a_search_begins_at_the_best_or_at_the_newest_policy(runs):
     best = lambda run: int(run.archive.best(run.reward.returns(run.T)))
     run = min(either, key=best)
     best = best(run)
-    state, _, setbacks = restart(run, TINY)
+    state, setbacks = restart(run, TINY)
     assert same(state, run.archive.get(best)) and int(setbacks) == TINY.comparisons - best > 0
-    state, _, setbacks = restart(run, replace(TINY, restart=False))
+    state, setbacks = restart(run, replace(TINY, restart=False))
     assert same(state, run.archive.get(TINY.comparisons)) and int(setbacks) == 0
 
 

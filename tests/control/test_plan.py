@@ -58,7 +58,7 @@ def test_a_plan_of_none_follows_the_mode_and_a_sample_draws(act):
 
 
 def test_while_it_learns_an_actor_does_nearly_what_the_plan_says(act):
-    state, s = state_of(loud=300.0), jnp.array([0.3, -0.4, 0.6])
+    state, s = state_of(loud=100.0), jnp.array([0.3, -0.4, 0.6])
     plain = actor("none", known(B=B), quadratic(), state=state)
     drawn = np.asarray(jax.vmap(lambda key: Noisy(plain, 0.1).act(s, key=key))(jr.split(jr.key(1), 4000)))
     a = np.asarray(act(plain, s, jr.key(1)))
