@@ -94,11 +94,12 @@ def one_task(task: str, options: argparse.Namespace, report: Report) -> None:
     config = Config()
     gradient = GradientConfig()
     if options.quick:
-        gradient = replace(gradient, chunks=1, updates=2, trial_steps=20)
+        gradient = replace(gradient, chunks=1, updates=2, settling=1, trial_steps=20)
         config = replace(config, dynamics=replace(config.dynamics, cold_steps=100))
     made = setting(task, replace(config, search=gradient), key=key)
     compile_s, took = search_by_us(made, gradient, key=key, repeats=repeats)
-    steps = gradient.chunks * gradient.updates * config.dynamics.M * gradient.rollouts * gradient.steps
+    updates = gradient.settling + gradient.chunks * gradient.updates
+    steps = updates * config.dynamics.M * gradient.rollouts * gradient.steps
     report.add(**about, search="hiprl gradient, default", **numbers(steps, compile_s, took, None))
 
 

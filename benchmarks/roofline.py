@@ -83,17 +83,22 @@ def fit_work(config: DynamicsConfig, p: int, q: int) -> Work:
 
 
 def gradient_work(config: GradientConfig, made: Setting) -> Work:
-    """An update of the search by gradients, with its share of a trial."""
+    """An update of the search by gradients, with its share of a trial and of what comes before the first update."""
     p, size, M, dynamics, everywhere = shapes(made)
     n = M * config.rollouts
     policy, value = (p, *config.layers(p), 2 * size), (p, *config.layers(p), 1)
     rows = n if everywhere else config.rollouts
     step = network(M, rows, dynamics, inputs=True) + network(1, n, policy, weights=True, inputs=True)
+    plain = network(M, rows, dynamics) + network(1, n, policy)  # while the value settles
     trial = network(M, config.trial_starts, dynamics) + network(1, M * config.trial_starts, policy)
+    fit = times(config.value_updates, network(1, n * config.steps // config.value_updates, value, weights=True))
+    fit += network(1, n * config.steps, value)  # its mean error
+    settling = times(config.steps, plain) + network(1, n * config.steps, value) + fit
     return (
         times(config.steps, step)
         + network(1, n * config.steps, value, inputs=True)
-        + times(config.value_updates, network(1, n * config.steps // config.value_updates, value, weights=True))
+        + fit
+        + times(config.settling / (config.chunks * config.updates), settling)
         + times(config.trial_steps / config.updates, trial)
     )
 
@@ -209,7 +214,10 @@ def measure(options: argparse.Namespace) -> Iterator[Measured]:
         model, searching = replace(config.dynamics, patience=10**6), config.search
         if options.quick:
             model = replace(model, cold_steps=200, warm_steps=200)
-            short = {"default": {"chunks": 1, "updates": 4, "trial_steps": 20}, "paper": {"total_timesteps": 1024}}
+            short = {
+                "default": {"chunks": 1, "updates": 4, "settling": 1, "trial_steps": 20},
+                "paper": {"total_timesteps": 1024},
+            }
             searching = replace(searching, **short[preset])
         made = setting(options.env, replace(config, dynamics=model, search=searching), key=key)
         p, q = made.world.p, made.world.q
