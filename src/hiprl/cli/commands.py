@@ -78,8 +78,8 @@ class Train:
     search: Annotated[Search | None, by_preset("gradient", "ppo")] = None
     """How a policy is searched in the model."""
     plan: Annotated[Plan | None, by_preset("none", "sample")] = None
-    """How the policy is executed: as it is, drawn from, or improved at each step by planning ahead in the model. While it
-    learns, some noise is added."""
+    """How the policy is executed: as it is, drawn from, or improved at each step by planning ahead in the model. While
+    it learns, some noise is added."""
     horizon: Annotated[int | None, arg(metavar="H", help_behavior_hint="(default: the environment's own limit)")] = None
     """Most steps in an episode; needed where the environment has no limit."""
     terminates: Rule = None
