@@ -81,14 +81,14 @@ def coverage(form: str, answers: int, room: int, *, truth: str, kappa: float, se
             )
         )
     P = Preferences.of(given, room, m=max(2, CLIPS.get(form, 2)))
-    reward, errors = estimate_from_answers(P, T, AdditiveConfig().kernels)
+    reward = estimate_from_answers(P, T, AdditiveConfig().kernels)
     i, t = rng.integers(N, size=(PAIRS, 2)), rng.integers(H - CLIP + 1, size=(PAIRS, 2))
     true = of(C, i, t) / whole
     true = true[:, 0] - true[:, 1]
     phi = lambda i, t: reward_sum(reward, T, i, t)
     psi = phi(i[:, 0], t[:, 0]) - phi(i[:, 1], t[:, 1])
     gap = jax.vmap(reward.gap_of)(psi)
-    unit = 1 / whole if form == "number" else float(errors.scale)  # numbers tell the unit of the reward
+    unit = 1 / whole if form == "number" else float(reward.errors.scale)  # numbers tell the unit of the reward
     mean, sigma = np.asarray(gap.mean) * unit, np.asarray(gap.sigma) * unit
     inside = lambda size: float(np.mean(np.abs(size * true - mean) <= 1.645 * sigma))
     right = float(np.mean((mean > 0) == (true > 0)))

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from hiprl.config import asking, paper
 from hiprl.control.imagined import SearchReport
 from hiprl.errors import FitDiverged, InputError, JudgeError, WorldError
 from hiprl.feedback.judges import exact, judge_from
@@ -172,3 +173,11 @@ def test_no_evaluation_is_refused_in_three_parts():
 def test_what_json_has_no_word_for_is_none():
     facts = {"a": math.nan, "b": {"c": math.inf, "d": 1.5}, "e": True, "f": -math.inf, "g": 3}
     assert finite_or_none(facts) == {"a": None, "b": {"c": None, "d": 1.5}, "e": True, "f": None, "g": 3}
+
+
+def test_the_papers_reward_network_is_not_begun_with_a_judge_it_cannot_learn_from(store):
+    config = asking(paper("HalfCheetah-v5"), judge_from("choice"))
+    with pytest.raises(InputError, match="got the judge choice for the paper's reward network"):
+        start(store, world_from("linear"), RunSpec(seed=0, config=config, judge="choice"))
+    assert not store.runs()
+    start(store, world_from("linear"), RunSpec(seed=0, config=paper("HalfCheetah-v5"), judge="exact"))

@@ -12,14 +12,17 @@ import jax.random as jr
 import numpy as np
 import pytest
 
+from hiprl import teaching
+from hiprl.algorithm import lived
 from hiprl.config import PEOPLE, Config, teachable
 from hiprl.control.policy import Uniform
 from hiprl.data.answer import choice, level
 from hiprl.errors import InputError
+from hiprl.models.estimate import estimate_reward
 from hiprl.report.evidence import evidence_of, opinions
 from hiprl.session import RunSpec, spec_of, start
 from hiprl.store.store import Store, open_store
-from hiprl.teaching import AGAIN, OPEN, SEEN, Asking, Known, improved, latest, taught
+from hiprl.teaching import AGAIN, FIRST, OPEN, SEEN, Asking, Known, improved, latest, taught
 from hiprl.world.build import world_from
 from tests.whole.tasks import TINY
 
@@ -105,7 +108,8 @@ def test_judges_are_held_against_each_other(done):
     assert {"judges", "agreement"} <= set(facts[-1])
     with open_store(path) as store:
         row = store.run(run_id)
-        found = opinions(store, row, *evidence_of(store, row), CONFIG.reward)
+        T, P = evidence_of(store, row)
+        found = opinions(store, row, P, estimate_reward(P, T, None, CONFIG.reward))
     gave = {judge.judge: judge.given for judge in judges if judge.given}
     told = {one["judge"]: one["answers"] for one in found["judges"]}
     assert told == (gave if len(gave) > 1 else {})  # one alone has nobody to agree with
@@ -216,6 +220,67 @@ def test_the_first_pair_is_there_before_the_warm_up_is_over(tmp_path):
 
     with pytest.raises(Stopped):
         teach(path, run_id, watch=look)
+
+
+def test_a_trainer_that_is_killed_while_it_learns_leaves_no_half_of_an_episode(tmp_path, monkeypatch):
+    path = str(tmp_path / "runs.db")
+    run_id = begun(path)
+
+    def cut_off(run, *more, **named):
+        if int(run.k) == SEEN + 1:
+            raise Stopped
+        return lived(run, *more, **named)
+
+    monkeypatch.setattr(teaching, "lived", cut_off)
+    with pytest.raises(Stopped):
+        teach(path, run_id)
+    monkeypatch.undo()
+    with open_store(path) as store:
+        episodes = len(store.episodes(run_id))
+        assert episodes == SEEN and len(store.trajectories(run_id)) == episodes + 1
+    judge = Judge(path, run_id)
+    judge.start()
+    facts: list = []
+    teach(path, run_id, watch=facts.append)  # with answers that it had not
+    judge.stop.set()
+    judge.join()
+    assert facts[0]["k"] == episodes + 1
+
+
+def test_an_episode_is_kept_for_each_answer_that_is_to_come(tmp_path):
+    path, config, seen = str(tmp_path / "runs.db"), replace(CONFIG, comparisons=8, warm_up=4), []
+    run_id = begun(path, config)
+
+    def answer(what):
+        for _ in range({"": 0, "the first answers": FIRST, "an answer": 1}[what]):
+            with open_store(path) as store:
+                while (question := store.claim(run_id, "ada")) is None:
+                    time.sleep(0.02)
+                store.answer(run_id, question.k, level(2, 5), "ada")
+
+    teach(path, run_id, watch=lambda facts: seen.append((facts["k"], facts["comparisons"])), wait=answer)
+    assert all(k + 1 <= max(config.warm_up, config.trajectories - (8 - answers)) for k, answers in seen)
+    assert seen[-1][1] == 8 and seen[-1][0] + 1 == config.trajectories
+
+
+def test_after_a_resume_old_answers_are_not_told_as_foreseen(tmp_path):
+    path = str(tmp_path / "runs.db")
+    run_id = begun(path)
+    with open_store(path) as store:
+        asking = asking_of(store, run_id)
+        for k in range(1, 4):
+            asking.ask()
+            store.claim(run_id, "ada")
+            store.answer(run_id, k, level(2, 5), "ada")
+        asking.listen()
+        again = Asking(store, asking.row, asking.config, asking.known, key=asking.key)
+        again.listen()
+        assert asking.known.answers == 3 and again.foresight == []
+        again.ask()
+        store.claim(run_id, "ada")
+        store.answer(run_id, 4, level(2, 5), "ada")
+        again.listen()
+        assert len(again.foresight) == 1
 
 
 def test_next_to_nothing_is_no_news():

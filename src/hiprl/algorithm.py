@@ -313,7 +313,7 @@ def confirmed(run: Run, world: World, config: Config, *, key: Key) -> tuple[Coun
     for again_key in jr.split(key, config.confirmations):
         best = jnp.argmax(total / times)
         tau = world.roll_out(actor_of(run, best, world, config), key=again_key)
-        executed = no_trajectories(world, config).add(tau)
+        executed = Trajectories.empty(1, H=world.H, p=world.p, q=world.q).add(tau)
         total = total.at[best].add(run.reward.returns(executed)[0])
         times, steps = times.at[best].add(1), steps + tau.length
     return jnp.argmax(total / times).astype(jnp.int32), steps

@@ -46,8 +46,7 @@ class Learned:
             obs: (p,) or (n, p).
             state: handed back; this policy has no memory.
             episode_start: not used.
-            deterministic: the learned behaviour has no noise of its own; False changes nothing but the draws of a
-                planner.
+            deterministic: not used: the learned behaviour has no noise of its own, and a planner draws in any case.
 
         Returns:
             The action in the bounds of the environment, and `state`.

@@ -65,8 +65,7 @@ class Config:
     def __post_init__(self) -> None:
         if self.comparisons < 2:
             raise InputError(
-                f"got {self.comparisons} comparisons; at least 2 are needed, as the warm-up has 2 trajectories. "
-                "Say for example `--comparisons 30`."
+                f"got {self.comparisons} comparisons; at least 2 are needed. Say for example `--comparisons 30`."
             )
         if not 2 <= self.warm_up <= self.comparisons:
             raise InputError(
@@ -81,7 +80,7 @@ class Config:
         if self.confirmations < 0:
             raise InputError(
                 f"got {self.confirmations} confirmations; the number of episodes in which the best policies are tried "
-                "again is 0 or more. Take 5."
+                "again is 0 or more. Take 20."
             )
         if self.optimism not in OPTIMISM:
             raise InputError(

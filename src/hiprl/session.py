@@ -43,6 +43,7 @@ from hiprl.feedback.judging import Judging, checked
 from hiprl.feedback.worth import worth
 from hiprl.models.calibration import rollout_errors
 from hiprl.models.reward import AdditiveReward
+from hiprl.models.reward_network import NetworkConfig
 from hiprl.spec import from_plain, to_plain, versions
 from hiprl.store.arrays import pack, unpack
 from hiprl.store.rows import ClipRow
@@ -79,15 +80,34 @@ class RunSpec:
                 f"got {self.eval_episodes} episodes for the final evaluation; at least 1 is needed to report a return. "
                 "Say for example `--eval-episodes 10`."
             )
-        if not 0 <= self.seed < 1 << 32:
-            raise InputError(
-                f"got the seed {self.seed}; a seed is a whole number from 0 to 4294967295, since draws know 32 bits of "
-                "it and no more. Choose a smaller one."
-            )
+        refuse_seed(self.seed)
+
+
+def refuse_seed(seed: int) -> None:
+    """Sees to it that a seed is one.
+
+    Raises:
+        InputError: it is not.
+    """
+    if not 0 <= seed < 1 << 32:
+        raise InputError(
+            f"got the seed {seed}; a seed is a whole number from 0 to 4294967295, since draws know 32 bits of it and "
+            "no more. Choose one of these."
+        )
 
 
 def start(store: Store, world: World, spec: RunSpec) -> str:
-    """Writes a new run into the store, and gives its id. Nothing is executed yet."""
+    """Writes a new run into the store, and gives its id. Nothing is executed yet.
+
+    Raises:
+        InputError: the reward cannot learn from what the judge is to be asked.
+    """
+    asked = spec.config.question
+    if isinstance(spec.config.reward, NetworkConfig) and (asked.clip or asked.levels or asked.items != 2):
+        raise InputError(
+            f"got the judge {spec.judge} for the paper's reward network, which learns from numbers about whole "
+            "trajectories alone. Leave out `--preset paper`, or take `--judge exact` without `--clip`."
+        )
     return store.add_run(
         world.name,
         spec.seed,
@@ -279,6 +299,7 @@ def finite_or_none(x: Any) -> Any:
 
 def conclude(store: Store, run_id: str, run: Run, world: World, spec: RunSpec, *, key: Key) -> Facts:
     """Evaluates the policy whose executed trajectories the newest r̂ ranks best, and closes the run."""
+    began = time.perf_counter()
     best, more_steps = confirmed(run, world, spec.config, key=jr.fold_in(key, CONFIRMATION))
     actor = actor_of(run, best, world, spec.config)
     taus = episodes(world, actor, spec.eval_episodes, key=jr.fold_in(key, EVALUATION))
@@ -294,7 +315,7 @@ def conclude(store: Store, run_id: str, run: Run, world: World, spec: RunSpec, *
         "return_mean": float(returns.mean()) if known else None,
         "return_std": float(returns.std()) if known else None,
         "eval_episodes": spec.eval_episodes,
-        "wall_seconds": sum(sum(episode["seconds"].values()) for _, episode in facts),
+        "wall_seconds": sum(sum(episode["seconds"].values()) for _, episode in facts) + time.perf_counter() - began,
         "store": store.name,
     }
     store.finish(run_id, summary, pack(actor))

@@ -76,10 +76,14 @@ class Known:
         """All of it."""
         return self._run
 
+    def with_answers(self, run: Run) -> Run:
+        """The same with the answers and r̂ that there are by now."""
+        return eqx.tree_at(lambda run: (run.P, run.reward), run, (self._run.P, self._run.reward))
+
     def lived(self, run: Run) -> None:
         """Takes over all but the answers and r̂, which may be newer here."""
         with self._lock:
-            self._run = eqx.tree_at(lambda run: (run.P, run.reward), run, (self._run.P, self._run.reward))
+            self._run = self.with_answers(run)
 
     def told(self, P: Preferences, reward: EstimatedReward) -> None:
         """Takes over the answers and r̂."""
@@ -96,15 +100,18 @@ class Asking:
         self.foresight: list[float] = []
         """Of the answers since the last episode: 1 where r̂ had foreseen the side, 0 where not."""
         self.weights: dict[str, float] = {}
+        self.agrees: list[int] = []
+        """Questions that r̂ answers as the judge did."""
         self.disagrees: list[int] = []
-        """Questions that r̂ would answer otherwise than the judge did."""
+        """Questions that it would answer otherwise."""
         self.opinions: dict[str, Any] = {}
         """Who answered, and how often each errs, where there are several."""
         self.trainer_waits = False
         """Whether nothing is tried before the next answer: then no question is kept for later."""
         self.stop = threading.Event()
         self.failed: BaseException | None = None
-        self._seen: dict[int, Any] = {}
+        self._seen: dict[int, Any] | None = None
+        """The answers that r̂ knows; None before the first look, whose answers it may know already."""
         turns = {"asking": self.ask, "listening": self.listen}
         self._threads = [threading.Thread(target=self._go_on, args=(turns[name],), name=name) for name in turns]
 
@@ -131,9 +138,10 @@ class Asking:
         """Takes in what was answered since the last time."""
         questions = self.store.questions(self.row.id)
         answered = {question.k: question.answer for question in questions if question.answer is not None}
-        if answered != self._seen:
-            self._take_in(questions, new=[k for k, said in answered.items() if self._seen.get(k) != said])
-            self._seen = answered
+        if answered and answered != self._seen:
+            before = self._seen if self._seen is not None else answered if self.known.answers else {}
+            self._take_in(questions, new=[k for k, said in answered.items() if before.get(k) != said])
+        self._seen = answered
 
     def ask(self) -> None:
         """Asks until enough is open, with what is known by now: a newer r̂ is not waited for."""
@@ -160,10 +168,11 @@ class Asking:
         reward = estimate_reward(P, run.T, run.reward, self.config.reward)
         self.known.told(P, reward)
         after = self.known.run
-        self.disagrees = [k for k, right in sides_of(after, questions).items() if right == 0]
+        sides = sides_of(after, questions)
+        self.agrees, self.disagrees = ([k for k, side in sides.items() if side == right] for right in (1, 0))
         if isinstance(reward, AdditiveReward):
             self.weights = shares(reward, shapes(reward, after.T), names_of(self.row, after.T))
-            self.opinions = opinions(self.store, self.row, after.T, P, self.config.reward)
+            self.opinions = opinions(self.store, self.row, P, reward)
 
     def _ask_again(self, k: int, questions: list[QuestionRow]) -> frozenset[ClipRow] | None:
         """Asks the newest question that was answered, and asked once only; None if it is not time for that."""
@@ -249,10 +258,11 @@ def taught(
                 if asking.failed is not None:
                     raise asking.failed
                 idle, heard = 0 if known.answers != heard else idle, known.answers
-                room = int(known.run.T.count) < known.run.T.capacity
+                lived_so_far, kept = int(known.run.T.count), max(0, config.comparisons - heard)  # an episode an answer
+                room = lived_so_far < max(config.warm_up, known.run.T.capacity - kept)
                 if heard >= config.comparisons and (idle >= PRACTICE or not room):
                     break
-                warm = int(known.run.T.count) >= config.warm_up
+                warm = lived_so_far >= config.warm_up
                 few = warm and heard < min(FIRST, config.comparisons)
                 pauses = few or idle >= PRACTICE or not room
                 asking.trainer_waits = pauses and not few
@@ -294,22 +304,22 @@ def practised(
     act_key, learn_key = jr.split(jr.fold_in(key, run.k))
     times = [time.perf_counter()]
     new = attempt(run, world, config, key=act_key)
-    store.add_trajectory(run_id, int(run.T.count), new.tau, "policy" if new.searched else "random", film=film_of(world))
     times.append(time.perf_counter())
     calibration = scored(run, new, config).calibration
     after = lived(eqx.tree_at(lambda run: run.k, run, run.k + 1), new, calibration, world, config, key=learn_key)
-    jax.block_until_ready(after)
-    known.lived(after)
+    after = known.with_answers(jax.block_until_ready(after))
     times.append(time.perf_counter())
-    facts = facts_of_attempt(run, new, known.run, config)
-    facts |= {"comparisons": known.answers, "worth": worth_of(known.run, config)}
+    facts = facts_of_attempt(run, new, after, config)
+    facts |= {"comparisons": int(after.P.count), "worth": worth_of(after, config)}
     facts["seconds"] = dict(zip(("propose", "learn"), np.diff(times).tolist(), strict=True)) | {"judge": 0.0}
     if asking is not None:
         told, asking.foresight = asking.foresight, []
         facts |= {"foreseen": float(np.mean(told)) if told else None}
-        facts |= {"weights": asking.weights, "disagrees": asking.disagrees, **asking.opinions}
-    facts = finite_or_none(facts)
-    store.finish_episode(run_id, facts["k"], facts, pack(known.run))
+        facts |= {"weights": asking.weights, "agrees": asking.agrees, "disagrees": asking.disagrees, **asking.opinions}
+    facts, kind = finite_or_none(facts), "policy" if new.searched else "random"
+    film = film_of(world)
+    store.finish_practice(run_id, facts["k"], int(run.T.count), new.tau, kind, facts, pack(after), film=film)
+    known.lived(after)  # now it may be asked about
     watch(facts)
 
 

@@ -119,12 +119,16 @@ def test_other_units_leave_a_value_as_it_was(seed, scale):
     assert float(again(s)) == pytest.approx(float(value(s)), rel=2e-3, abs=2e-3)
 
 
-def test_a_draw_before_the_clipping_is_the_gaussian_that_is_said(clipped):
+def test_a_draw_inside_the_box_is_of_the_gaussian_that_is_said(clipped):
     s = some_state(2)
     mean, log_std = (np.asarray(x, float) for x in clipped.gaussian(s))
-    raw = np.asarray(jax.vmap(lambda key: clipped.raw_sample(s, key=key))(jr.split(jr.key(3), 997)))
+    drawn = np.asarray(jax.vmap(lambda key: clipped.sample(s, key=key))(jr.split(jr.key(3), 2999)))
+    low, high = ((edge - mean) / np.exp(log_std) for edge in (-1.0, 1.0))
     for i in range(q):
-        assert 1e-4 < stats.kstest((raw[:, i] - mean[i]) / np.exp(log_std[i]), "norm").pvalue < 1 - 1e-4
+        inside = drawn[np.abs(drawn[:, i]) < 1, i]
+        assert len(inside) > 200
+        z = (inside - mean[i]) / np.exp(log_std[i])
+        assert 1e-4 < stats.kstest(z, "truncnorm", args=(low[i], high[i])).pvalue < 1 - 1e-4
 
 
 def test_the_random_agent_is_uniform_in_a_box_of_its_size():

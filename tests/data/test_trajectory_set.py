@@ -1,13 +1,10 @@
 import jax
 import jax.numpy as jnp
-import jax.random as jr
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
 
-from hiprl.data.trajectory_set import Trajectories
-from tests.data.samples import H, N, clean, lengths, p, q, seeds, set_of, trajectory
+from tests.data.samples import H, N, clean, lengths, p, seeds, set_of, trajectory
 
 several = st.lists(lengths, min_size=1, max_size=N)
 
@@ -77,13 +74,3 @@ def test_first_states_are_where_episodes_began(seed, ns):
     first = np.asarray(set_of(taus).first_states())
     np.testing.assert_array_equal(first[: len(ns)], [np.asarray(tau.states)[0] for tau in taus])
     np.testing.assert_array_equal(first[len(ns) :], np.broadcast_to(np.asarray(taus[0].states)[0], (N - len(ns), p)))
-
-
-def test_a_trajectory_is_picked_uniformly_from_those_that_were_added():
-    count, draws = 7, 3000
-    T = Trajectories(Trajectories.empty(N, H=H, p=p, q=q).rows, jnp.asarray(count, jnp.int32))
-    picked = jax.vmap(lambda key: T.pick(key=key))(jr.split(jr.key(11), draws))
-    seen = np.bincount(picked, minlength=count)
-    assert len(seen) == count  # never one past the count
-    left = stats.chi2.cdf(stats.chisquare(seen).statistic, count - 1)
-    assert 1e-4 < left < 1 - 1e-4  # neither too uneven nor too even

@@ -34,7 +34,7 @@ def reward(T):
     for k in range(6):
         clips = [Clip.at(k, k, STEPS), Clip.at(k + 1, 2 * k, STEPS)]
         P = P.answered(choice(k % 3 > 0), clips, at_hand=jnp.asarray(9, jnp.int32))
-    return estimate_from_answers(P, T, (Kernel(0.1, 4.0),))[0]
+    return estimate_from_answers(P, T, (Kernel(0.1, 4.0),))
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_the_question_picked_is_worth_most(T, reward):
 
 def test_what_is_known_of_a_question_is_what_the_reward_says_of_its_clips(T, reward):
     config = replace(TELLING, levels=None)  # then the worth is the log of σ_g, where the unit is known
-    reward = eqx.tree_at(lambda r: r.spread, reward, jnp.zeros(()))
+    reward = eqx.tree_at(lambda r: r.errors.spread, reward, jnp.zeros(()))
     asked = questions.drawn(T, config, key=jr.key(4))
     worth = np.asarray(information(T, reward, asked, config))
     for i in np.flatnonzero(np.isfinite(worth))[:5]:

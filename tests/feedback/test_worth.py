@@ -31,7 +31,7 @@ def reward(T):
     for k in range(3):
         clips = [Clip.at(k, k, STEPS), Clip.at(k + 1, 2 * k, STEPS)]
         P = P.answered(choice(k % 2 > 0), clips, at_hand=jnp.asarray(7, jnp.int32))
-    return estimate_from_answers(P, T, (Kernel(0.1, 4.0),))[0]
+    return estimate_from_answers(P, T, (Kernel(0.1, 4.0),))
 
 
 @pytest.fixture(autouse=True)
@@ -67,7 +67,7 @@ def by_draws(T, reward, config, answers):
 
 def chosen(reward, levels):
     def answers(u, rng):
-        perceived = u * float(reward.scale) + float(reward.kappa) * rng.logistic(size=len(u))
+        perceived = u * float(reward.errors.scale) + float(reward.errors.kappa) * rng.logistic(size=len(u))
         step = 2 / (levels - 1)
         return np.clip(np.round(perceived / step + (levels - 1) / 2), 0, levels - 1)
 
@@ -103,7 +103,7 @@ def test_who_knows_what_is_wanted_need_not_ask(T, reward):
 
 def test_the_unit_of_the_reward_does_not_matter(T, reward):
     config = QuestionConfig(clip=STEPS, pick="information", levels=2)
-    parts = lambda r: (r.mean, r.prior, r.root, r.scale)
+    parts = lambda r: (r.mean, r.prior, r.root, r.errors.scale)
     mean, prior, root, scale = parts(reward)
     other = eqx.tree_at(parts, reward, (1000 * mean, 1e6 * prior, 1000 * root, scale / 1000))
     assert float(worth(T, other, config, key=jr.key(3))) == pytest.approx(

@@ -92,20 +92,20 @@ def agreement(reward, T):
 @pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_the_reward_is_learned_from_answers_of_one_form(form, T, estimated):
-    reward, _ = estimated(answered(T, [form]), T)
+    reward = estimated(answered(T, [form]), T)
     assert agreement(reward, T) > 0.93
 
 
 @pytest.mark.slow
 def test_the_reward_is_learned_from_answers_of_all_forms_together(T, estimated):
-    reward, _ = estimated(answered(T, FORMS), T)
+    reward = estimated(answered(T, FORMS), T)
     assert agreement(reward, T) > 0.95
 
 
 @pytest.mark.slow
 def test_numbers_alone_give_what_the_closed_form_gives(T, estimated):
     P = answered(T, ["number"])
-    reward, _ = estimated(P, T)
+    reward = estimated(P, T)
     exact = estimate_additive_reward(P, T, AdditiveConfig(smooth=(0.01,), noise=(1e-4,)), steps=16)
     pair = T.clip(Clip.at(3, 2, STEPS)), T.clip(Clip.at(7, 9, STEPS))
     one, other = reward.gap(*pair), exact.gap(*pair)
@@ -114,7 +114,7 @@ def test_numbers_alone_give_what_the_closed_form_gives(T, estimated):
 
 @pytest.mark.slow
 def test_numbers_set_the_unit_also_among_other_answers(T, estimated):
-    reward, _ = estimated(answered(T, ["number", "choice"]), T)
+    reward = estimated(answered(T, ["number", "choice"]), T)
     pair = T.clip(Clip.at(3, 2, STEPS)), T.clip(Clip.at(7, 9, STEPS))
     assert float(reward.gap(*pair).mean) == pytest.approx(paid(T, 3, 2) - paid(T, 7, 9), abs=0.1 * spread(T))
 
@@ -123,7 +123,7 @@ def test_numbers_set_the_unit_also_among_other_answers(T, estimated):
 def test_whoever_cannot_tell_changes_nothing(T, estimated):
     P = answered(T, ["choice"], n=20)
     more = P.answered(CANNOT_TELL, [Clip.at(0, 0, STEPS), Clip.at(1, 0, STEPS)], at_hand=jnp.asarray(12, jnp.int32))
-    one, other = (estimated(p, T)[0] for p in (P, more))
+    one, other = (estimated(p, T) for p in (P, more))
     np.testing.assert_allclose(one.mean, other.mean, rtol=0.05, atol=0.02 * float(jnp.abs(one.mean).max()))
 
 
@@ -134,7 +134,7 @@ def test_only_equal_and_nothing_else_is_absorbed(T, estimated):
         P = P.answered(
             EQUALLY_GOOD, [Clip.at(k, 0, STEPS), Clip.at(k + 1, 3, STEPS)], at_hand=jnp.asarray(12, jnp.int32)
         )
-    reward, _ = estimated(P, T)
+    reward = estimated(P, T)
     assert np.isfinite(reward.mean).all() and np.isfinite(reward.root).all()
     assert abs(float(reward.gap(T.get(0), T.get(1)).mean)) < 1e-3
 
@@ -144,7 +144,7 @@ def test_a_circle_of_choices_is_absorbed(T, estimated):
     P = Preferences.empty(K, m=4)
     for i, j in [(0, 1), (1, 2), (2, 0)] * 3:
         P = P.answered(choice(True), [Clip.at(i, 0, STEPS), Clip.at(j, 0, STEPS)], at_hand=jnp.asarray(12, jnp.int32))
-    reward, _ = estimated(P, T)
+    reward = estimated(P, T)
     assert np.isfinite(reward.mean).all()
     gap = reward.gap(T.clip(Clip.at(0, 0, STEPS)), T.clip(Clip.at(1, 0, STEPS)))
     assert abs(float(gap.mean)) < float(gap.sigma)
@@ -153,15 +153,15 @@ def test_a_circle_of_choices_is_absorbed(T, estimated):
 @pytest.mark.slow
 def test_the_judge_who_errs_is_found_out(T, estimated):
     P = answered(T, ["choice"], judge=lambda k: k % 2, turn=lambda k: k % 4 == 1)
-    _, errors = estimated(P, T, learn_mistakes=True)
-    assert float(errors.mistakes[1]) > 2 * float(errors.mistakes[0])
+    mistakes = estimated(P, T, learn_mistakes=True).errors.mistakes
+    assert float(mistakes[1]) > 2 * float(mistakes[0])
 
 
 @pytest.mark.slow
 def test_the_unit_of_the_judge_is_what_was_at_hand(T, estimated):
     P = answered(T, ["level"])
     early = dataclasses.replace(P, at_hand=jnp.full(K, 12))
-    one, other = estimated(P, T)[0], estimated(early, T)[0]
+    one, other = estimated(P, T), estimated(early, T)
     np.testing.assert_allclose(one.mean, other.mean, rtol=1e-4, atol=1e-4)
 
 
@@ -179,7 +179,7 @@ def test_past_the_last_candidate_the_scale_is_the_last():
 
 def test_an_unsure_unit_makes_great_gaps_unsure(T):
     sure = estimate_additive_reward(answered(T, ["number"]), T, AdditiveConfig(), steps=16)
-    unsure = eqx.tree_at(lambda r: r.spread, sure, jnp.asarray(0.3))
+    unsure = eqx.tree_at(lambda r: r.errors.spread, sure, jnp.asarray(0.3))
     pair = T.clip(Clip.at(3, 2, STEPS)), T.clip(Clip.at(7, 9, STEPS))
     one, other = sure.gap(*pair), unsure.gap(*pair)
     assert float(other.mean) == float(one.mean)
@@ -191,7 +191,7 @@ def test_nine_of_ten_gaps_lie_in_their_intervals(T, estimated):
     inside = []
     for seed in range(5):
         P = answered(T, ["choice"], n=20, seed=seed)
-        reward, _errors = estimated(P, T)
+        reward = estimated(P, T)
         rng = np.random.default_rng(100 + seed)
         true, mean, sigma = [], [], []
         for (i, s), (j, t) in [asked(rng, 2) for _ in range(40)]:

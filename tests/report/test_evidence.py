@@ -156,14 +156,15 @@ def test_two_judges_are_held_against_each_other(T, tmp_path):
             store.answer(run, k, answer, "ada" if k == N else "rule")
         row = store.run(run)
         again, P = evidence_of(store, row)
-        found = opinions(store, row, again, P, LINEAR)
+        found = opinions(store, row, P, estimate_reward(P, again, None, LINEAR))
         assert found["agreement"] in (0.5, 1.0) and agreement(P) == found["agreement"]
         assert [(one["judge"], one["answers"]) for one in found["judges"]] == [("rule", N), ("ada", 1)]
         assert all(0 <= one["mistakes"] <= 0.5 for one in found["judges"])
 
 
 def test_one_judge_alone_has_nobody_to_agree_with(numbers, evidence):
-    assert opinions(*numbers, *evidence, LINEAR) == {"judges": [], "agreement": None}
+    T, P = evidence
+    assert opinions(*numbers, P, estimate_reward(P, T, None, LINEAR)) == {"judges": [], "agreement": None}
 
 
 @pytest.mark.slow

@@ -9,11 +9,12 @@ from matplotlib.figure import Figure
 
 from hiprl.config import Config
 from hiprl.errors import HiprlError
-from hiprl.report.figures import PICTURES, learning, overview, pictures
+from hiprl.report.figures import PICTURES, headline, learning, overview, pictures
+from hiprl.report.figures import draw as draw_panel
 from hiprl.report.record import Record, record
 from hiprl.report.style import new_figure, save
 from hiprl.store.store import Store
-from tests.report.made_up import VERSIONS, add_run, spec
+from tests.report.made_up import VERSIONS, add_run, facts, spec
 
 PNG = b"\x89PNG\r\n"
 
@@ -84,3 +85,18 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(HiprlError, match=r"cannot write the pictures into .*needed.*--out"):
         save({"one": Figure()}, tmp_path / "file" / "folder")
+
+
+def test_a_taught_run_counts_its_answers_and_not_its_episodes(store: Store) -> None:
+    run_id, draw = store.add_run("Hopper-v5", 0, spec(), VERSIONS), np.random.default_rng(3)
+    for k, answered in enumerate([0, 0, 1, 1, 4], 1):  # episodes go on whether people answer or not
+        told = facts(k, warm_up=3, draw=draw) | {"comparisons": answered}
+        store.finish_episode(run_id, k, told, b"%d" % k)
+    run = record(store, store.run(run_id))
+    assert run.answered == 4 and headline(run).endswith("4 comparisons")
+    _, axes = new_figure(1, 1, width=4.0, height=3.0)
+    draw_panel(learning, axes[0, 0], run)
+    assert axes[0, 0].get_xlim()[0] < 0
+    assert axes[0, 0].patches[0].get_x() + axes[0, 0].patches[0].get_width() == 1.5  # random up to the first answer
+    store.finish(run_id, {"comparisons": 12, "return_mean": None}, b"policy")
+    assert record(store, store.run(run_id)).answered == 12  # the last ones came after the last episode

@@ -68,7 +68,7 @@ def test_a_store_needs_a_file(where: str):
 
 def test_without_create_nothing_is_made(tmp_path: Path):
     path = tmp_path / "runs.db"
-    with pytest.raises(InputError, match=r"there is no store .*runs\.db; .* is needed\. Check the path"):
+    with pytest.raises(InputError, match=r"there is no store .*runs\.db; .* is needed\. Go to the folder"):
         open_store(path, create=False)
     assert not path.exists()
     path.touch()

@@ -73,6 +73,22 @@ class Served:
         return k
 
 
+def test_a_password_lets_in_by_the_form(made: str, store: Store, browser: Any, monkeypatch: pytest.MonkeyPatch):
+    a_taught_run(store, questions=1)
+    monkeypatch.setenv("HIPRL_PASSWORD", "open sesame")
+    with started("serve", "--store", made, "--port", "8700") as page:
+        home = re.match(r"http://[^/]+", page.address)[0]
+        context = browser.new_context()
+        tab = context.new_page()
+        tab.set_default_timeout(PATIENCE)
+        tab.goto(home)
+        tab.fill("input[type=password]", "open sesame")
+        tab.keyboard.press("Enter")
+        tab.wait_for_url(f"{home}/")
+        assert "Come in" not in tab.content()
+        context.close()
+
+
 @pytest.fixture
 def served(made: str, store: Store, browser: Any) -> Iterator[Served]:
     run_id = a_taught_run(store, questions=6)

@@ -258,7 +258,7 @@ def test_observations_of_another_kind_are_refused_with_what_helps(space, message
 @pytest.mark.parametrize(
     ("space", "message"),
     [
-        (spaces.Discrete(5), r"kind Discrete; hiprl needs real-valued.*no wrapper.*MountainCarContinuous"),
+        (spaces.Discrete(5), r"kind Discrete; hiprl needs real-valued.*MountainCarContinuous.*InvertedPendulum"),
         (spaces.MultiDiscrete([2, 3]), r"kind MultiDiscrete; .*continuous actions"),
         (spaces.MultiBinary(3), r"kind MultiBinary; .*continuous actions"),
         (spaces.Dict({"x": Corridor.action_space}), r"kind Dict; .*TransformAction"),

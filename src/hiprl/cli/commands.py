@@ -21,9 +21,14 @@ Answers: TypeAlias = Literal["all", "choices"]
 Plan: TypeAlias = Literal["none", "sample", "mpc"]
 
 DEFAULT_STORE = "runs/hiprl.db"
+HOST, PORT = "127.0.0.1", 8642
+"""Where the page is, unless told otherwise."""
 
 Store: TypeAlias = Annotated[str, arg(metavar="PATH|URL")]
 Json: TypeAlias = Annotated[bool, arg(help_behavior_hint="(default: off)")]
+Host: TypeAlias = Annotated[str, arg(metavar="ADDRESS")]
+Port: TypeAlias = Annotated[int, arg(metavar="N")]
+NoBrowser: TypeAlias = Annotated[bool, arg(help_behavior_hint="(default: off)")]
 Folder: TypeAlias = Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: none)")]
 Rule: TypeAlias = Annotated[
     str | None,
@@ -74,12 +79,17 @@ class Train:
     preset: Preset = "default"
     """Settings to start from: the best that we know, or those of the paper."""
     optimism: Annotated[Optimism | None, by_preset("thompson", "eta_policy")] = None
-    """How a search may use what the dynamics model does not know."""
+    """How a search may use what the dynamics model does not know:
+    greedy: not at all (the mean of the ensemble);
+    thompson: each imagined rollout lives in one member of it;
+    eta_policy: the policy picks where in the uncertainty to land (the paper);
+    eta_sign: the gradient of the value picks that;
+    bonus: uncertainty is rewarded."""
     search: Annotated[Search | None, by_preset("gradient", "ppo")] = None
-    """How a policy is searched in the model."""
+    """How a policy is searched in the model: by gradients through it, or by PPO in it (the paper)."""
     plan: Annotated[Plan | None, by_preset("none", "sample")] = None
-    """How the policy is executed: as it is, drawn from, or improved at each step by planning ahead in the model. While
-    it learns, some noise is added."""
+    """How the policy is executed: as it is (none), drawn from (sample), or improved at each step by planning ahead in
+    the model (mpc). While it learns, some noise is added, but not with preset paper."""
     horizon: Annotated[int | None, arg(metavar="H", help_behavior_hint="(default: the environment's own limit)")] = None
     """Most steps in an episode; needed where the environment has no limit."""
     terminates: Rule = None
@@ -108,6 +118,12 @@ class Resume:
     """Where the run is kept: a file or an address, as for train."""
     tensorboard: Folder = None
     """Write TensorBoard event files into this folder, one folder a run in it."""
+    host: Host = HOST
+    """Where people teach the run: address at which the page listens, by default for this machine alone."""
+    port: Port = PORT
+    """Port of that page, or the next free one; 0 for no page."""
+    no_browser: NoBrowser = False
+    """Only print the address of that page; do not open it."""
     json: Json = False
     """End with one JSON object on the last line of stdout, the same as train gives."""
 
@@ -132,10 +148,10 @@ class Show:
 class Compare:
     """Runs side by side: those that differ in their seed alone are one arm.
 
-    Tells the return over seeds with its interval, and the comparisons needed to reach one.
+    Tells the return over seeds with its interval, and the comparisons needed to reach a given return.
     """
 
-    runs: Annotated[Positional[tuple[str, ...]], arg(metavar="RUN", help_behavior_hint="(default: none)")] = ()
+    runs: Annotated[Positional[tuple[str, ...]], arg(metavar="[RUN ...]", help_behavior_hint="(or --all)")] = ()
     """Ids of runs, or the start of them."""
     all: Annotated[bool, arg(help_behavior_hint="(default: off)")] = False
     """Take all runs of the stores."""
@@ -202,11 +218,11 @@ class Teach:
     """Most steps in an episode; needed where the environment has no limit."""
     terminates: Rule = None
     """When an episode ends: a function of (s, a, s_next) in JAX that gives true there."""
-    host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
-    """Address at which the page listens: by default for this machine alone."""
-    port: Annotated[int, arg(metavar="N")] = 8642
+    host: Host = HOST
+    """Address at which the page listens: by default for this machine alone; 0.0.0.0 for all that can reach it."""
+    port: Port = PORT
     """Port of the page, or the next free one; 0 for no page (`hiprl serve` shows it)."""
-    no_browser: Annotated[bool, arg(help_behavior_hint="(default: off)")] = False
+    no_browser: NoBrowser = False
     """Only print the address of the page; do not open it."""
     store: Store = DEFAULT_STORE
     """Where the run is kept: a file or an address, as for train."""
@@ -226,9 +242,9 @@ class Serve:
         None
     )
     """The run whose page is opened first: its id, or the start of it."""
-    host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
+    host: Host = HOST
     """Address to listen at: by default for this machine alone; 0.0.0.0 for all that can reach it."""
-    port: Annotated[int, arg(metavar="N")] = 8642
+    port: Port = PORT
     """Port, or the next free one."""
     browser: Annotated[bool, arg(help_behavior_hint="(default: off)")] = False
     """Open the page in a browser."""

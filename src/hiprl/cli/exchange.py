@@ -59,7 +59,15 @@ def bring(command: Import) -> Facts:
 
 
 def arrays(taus: list[TrajectoryRow]) -> dict[str, np.ndarray]:
-    """Trajectories in arrays of one length, padded with NaN."""
+    """Trajectories in arrays of one length, padded with NaN.
+
+    Raises:
+        InputError: there are none.
+    """
+    if not taus:
+        raise InputError(
+            "the run has executed nothing yet; at least one trajectory is needed. Let it go on with `hiprl resume`."
+        )
     H = max(tau.length for tau in taus)
     padded = lambda x, n: np.pad(x, [(0, n - len(x)), *[(0, 0)] * (x.ndim - 1)], constant_values=np.nan)
     return {

@@ -16,7 +16,7 @@ from hiprl.data.film import Film
 from hiprl.errors import InputError
 from hiprl.report.record import beside
 from hiprl.report.video import video_file, write_video
-from hiprl.session import learned_actor
+from hiprl.session import learned_actor, refuse_seed
 from hiprl.store.store import open_store
 from hiprl.types import Actor
 from hiprl.web.alone import page_of
@@ -30,6 +30,7 @@ def play(command: Play) -> Facts:
     """Executes the learned policy and writes what is to be seen into files."""
     if command.steps < 1:
         raise InputError(f"got {command.steps} steps to play; at least 1 is needed. Say `--steps 400`.")
+    refuse_seed(command.seed)
     video = None if command.video is None else video_file(command.video)
     with open_store(command.store, create=False) as store:
         row = store.find_run(command.run)

@@ -43,7 +43,7 @@ def serve(command: Serve) -> Facts:
         run_id = None if command.run is None else store.find_run(command.run).id
         listener = listening(command.host, command.port)
         host, port = listener.getsockname()[:2]
-        home = "localhost" if loopback(host) else host
+        home = known_as(host)
         to = "/" if run_id is None else f"/runs/{run_id}/teach"
 
         def address(token: str) -> str:
@@ -90,7 +90,13 @@ def drawings(store: Store) -> dict[str, Picture]:
 
 
 def listening(host: str, port: int) -> socket.socket:
-    """A socket at this port, or at the next free one."""
+    """A socket at this port, or at the next free one.
+
+    Raises:
+        InputError: there is no such port, none is free, or the address is not one of this machine.
+    """
+    if not 0 <= port < 65536:
+        raise InputError(f"got port {port}; a port is a number from 0 to 65535. Say for example `--port 8700`.")
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         for tried in range(port, min(port + TRIED_PORTS, 65536)):
@@ -119,6 +125,15 @@ def loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
+
+
+def known_as(host: str) -> str:
+    """What a browser calls an address of this machine."""
+    if loopback(host):
+        return "localhost"
+    if host in ("0.0.0.0", "::"):  # all addresses, and the address of none
+        return socket.gethostname()
+    return f"[{host}]" if ":" in host else host
 
 
 def graphical() -> bool:

@@ -12,6 +12,7 @@ from rich.table import Table
 from hiprl.cli.commands import DEFAULT_STORE, Compare, Facts, Show
 from hiprl.cli.progress import duration
 from hiprl.errors import InputError
+from hiprl.models.estimate import RewardConfig
 from hiprl.models.reward import AdditiveConfig
 from hiprl.report.arm_figure import comparison
 from hiprl.report.arms import arms_of, compared
@@ -34,8 +35,9 @@ def show(command: Show) -> Facts:
     """Prints the numbers of a run and writes its pictures; gives the numbers and where the pictures are."""
     with open_store(command.store, create=False) as store:
         run = record(store, newest(store) if command.run is None else store.find_run(command.run))
-        learned = told_by(store, run)
-        judges = {} if learned is None else opinions(store, run.row, learned.T, learned.P, AdditiveConfig())
+        config = from_plain(run.row.spec["config"]).reward
+        learned = told_by(store, run, config)
+        judges = {} if learned is None else opinions(store, run.row, learned.P, learned.reward)
         others = [] if command.run is not None else [record(store, row) for row in store.runs()]
     folder = Path(command.out).expanduser() if command.out is not None else beside(command.store, run.id)
     facts = summary(run)
@@ -44,7 +46,7 @@ def show(command: Show) -> Facts:
         out.print(table_of_runs(others))
     figures = pictures(run)
     if learned is not None:
-        facts |= quality(learned.T, learned.P, AdditiveConfig(), folds=FOLDS) | {"weights": learned.weights}
+        facts |= quality(learned.T, learned.P, config, folds=FOLDS) | {"weights": learned.weights}
         facts |= judges
         unit = float(learned.reward.unit)
         figures["beliefs"] = beliefs(
@@ -54,9 +56,8 @@ def show(command: Show) -> Facts:
     return facts | {"pictures": saved(figures, folder)}
 
 
-def told_by(store: Store, run: Record) -> Told | None:
+def told_by(store: Store, run: Record, config: RewardConfig) -> Told | None:
     """What a run's answers say of the reward; None if it has none, or learns it by networks."""
-    config = from_plain(run.row.spec["config"]).reward
     if not isinstance(config, AdditiveConfig) or not any(q.answer is not None for q in store.questions(run.id)):
         return None
     return told(run.row, *evidence_of(store, run.row), config)
@@ -141,7 +142,7 @@ def table_of_runs(runs: Sequence[Record]) -> Table:
             run.row.env,
             setting(run.row).words(),
             str(run.row.seed),
-            f"{len(run.episodes)} of {run.planned}",
+            f"{run.answered} of {run.planned}",
             "not finished" if run.final is None else "not known" if mean is None else f"{mean:.1f}",
         )
     return table

@@ -15,7 +15,7 @@ from hiprl.api import new_store, world_of
 from hiprl.cli.commands import Facts, Resume, Teach
 from hiprl.cli.interrupt import stoppable
 from hiprl.cli.progress import progress
-from hiprl.cli.serving import WITH_PARENT
+from hiprl.cli.serving import WITH_PARENT, listening
 from hiprl.cli.training import outcome, tell, typed
 from hiprl.config import PEOPLE, Config, teachable
 from hiprl.errors import InputError
@@ -35,7 +35,7 @@ def teach(command: Teach) -> Facts:
     K = command.comparisons
     config = teachable(Config(comparisons=K, warm_up=min(WARM_UP, K)))
     if command.clip is not None:
-        config = replace(config, question=replace(config.question, clip=command.clip))
+        config = replace(config, question=replace(config.question, clip=command.clip or None))
     spec = RunSpec(seed=command.seed, config=config, judge=PEOPLE, terminates=command.terminates)
     with new_store(command.store) as store:
         run_id = start(store, world, spec)
@@ -47,6 +47,11 @@ def teach(command: Teach) -> Facts:
 
 def resume(store: Store, row: RunRow, command: Resume) -> Facts:
     """Goes on with a run that people teach, with its page."""
+    if command.tensorboard is not None:
+        raise InputError(
+            f"got --tensorboard for run {row.id}, which people teach; event files are written of runs with a scripted "
+            "judge. Leave it out: the run's page shows the same."
+        )
     world = world_of(row, terminates=command.terminates)
     with page(row.id, command):
         return follow(store, row.id, world, command)
@@ -55,12 +60,12 @@ def resume(store: Store, row: RunRow, command: Resume) -> Facts:
 @contextlib.contextmanager
 def page(run_id: str, command: Teach | Resume) -> Iterator[None]:
     """The page, in a process of its own, for as long as this one lives."""
+    if command.port == 0:
+        yield
+        return
+    listening(command.host, command.port).close()  # what is wrong with them is better said at once
     words = [sys.executable, "-m", "hiprl", "serve", run_id, "--store", command.store]
-    if isinstance(command, Teach):
-        if command.port == 0:
-            yield
-            return
-        words += ["--host", command.host, "--port", str(command.port)] + ([] if command.no_browser else ["--browser"])
+    words += ["--host", command.host, "--port", str(command.port)] + ([] if command.no_browser else ["--browser"])
     process = subprocess.Popen(words, stdin=subprocess.PIPE, env=os.environ | {WITH_PARENT: "1"})
     try:
         yield
@@ -99,7 +104,7 @@ def follow(store: Store, run_id: str, world: World, command: Teach | Resume) -> 
         world.close()
     tell(console, outcome(summary))
     tell(console, f"Next: {typed('show', run_id, store, command)}")
-    if sys.stdin.isatty() and isinstance(command, Teach):
+    if sys.stdin.isatty() and command.port:
         with contextlib.suppress(KeyboardInterrupt, EOFError):
             input("The page stays open; press Enter to end. ")
     return summary

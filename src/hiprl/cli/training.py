@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 
 from hiprl.api import judge_of, new_store, world_of
-from hiprl.cli.commands import DEFAULT_STORE, Facts, Resume, Teach, Train
+from hiprl.cli.commands import DEFAULT_STORE, HOST, PORT, Facts, Resume, Teach, Train
 from hiprl.cli.interrupt import stoppable
 from hiprl.cli.progress import duration, progress
 from hiprl.config import Config, asking, paper, preset
@@ -133,6 +133,10 @@ def typed(verb: str, run_id: str, store: Store, command: Train | Resume | Teach)
         words += ["--store", store.name]
     if verb == "resume" and not isinstance(command, Teach) and command.tensorboard is not None:
         words += ["--tensorboard", command.tensorboard]
+    if verb == "resume" and not isinstance(command, Train):  # where the page was
+        words += [] if command.host == HOST else ["--host", command.host]
+        words += [] if command.port == PORT else ["--port", str(command.port)]
+        words += ["--no-browser"] if command.no_browser else []
     if verb == "resume" and command.json:
         words += ["--json"]
     return shlex.join(words)

@@ -88,12 +88,8 @@ class ClippedPolicy(Policy):
         return jnp.clip(self.gaussian(s)[0], -1.0, 1.0)
 
     def sample(self, s: State, *, key: Key) -> Float[Array, " size"]:
-        return jnp.clip(self.raw_sample(s, key=key), -1.0, 1.0)
-
-    def raw_sample(self, s: State, *, key: Key) -> Float[Array, " size"]:
-        """A draw before the clipping, whose density is known."""
         mean, log_std = self.gaussian(s)
-        return mean + jnp.exp(log_std) * jr.normal(key, mean.shape)
+        return jnp.clip(mean + jnp.exp(log_std) * jr.normal(key, mean.shape), -1.0, 1.0)
 
     def rescaled(self, inputs: Scaler) -> ClippedPolicy:
         """The same policy, standardising its input by another scaler."""

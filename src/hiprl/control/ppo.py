@@ -68,6 +68,11 @@ class PPOConfig:
                 f"got {self.n_steps} steps an iteration and {self.rollouts} rollouts; the rollouts share the steps "
                 f"evenly. Take a multiple of {self.rollouts} steps."
             )
+        if 1 in (self.n_steps % self.batch_size, self.batch_size, self.n_steps):
+            raise InputError(
+                f"got {self.n_steps} steps an iteration in minibatches of {self.batch_size}, one of which has a single "
+                "sample; advantages are divided by their standard deviation, which needs two. Take another batch size."
+            )
 
     @property
     def length(self) -> int:

@@ -16,6 +16,8 @@ Form: TypeAlias = Literal["number", "choice", "level", "slider", "equal", "unsur
 FORMS: tuple[Form, ...] = get_args(Form)
 EQUAL = 0.25
 """Half the width of "equal", where a whole scale is 1: as wide as the middle one of five levels."""
+MOST_LEVELS = 1001
+"""More than anybody tells apart; for more there is the slider."""
 SLIDER = 0.1
 """Half the width of a slider's answer: nobody sets it more exactly than to a tenth of either side."""
 
@@ -52,7 +54,7 @@ class Answer:
         """Whether value and levels are what the form needs."""
         x, levels = self.value, self.levels
         if self.form in ("level", "rating"):
-            half = (levels - 1) / 2 if type(levels) is int and levels >= 2 else -1
+            half = (levels - 1) / 2 if type(levels) is int and 2 <= levels <= MOST_LEVELS else -1
             return _is_number(x) and -half <= x <= half and (x - half) % 1 == 0
         if levels is not None:
             return False
@@ -126,8 +128,8 @@ _NEEDED = {
     "number": "a finite number is needed",
     "choice": "1 for the first clip or -1 for the second is needed",
     "slider": "a number from -1 to 1 is needed",
-    "level": "a level from -(levels - 1)/2 to (levels - 1)/2 in steps of 1 is needed, of 2 levels or more",
-    "rating": "a level from -(levels - 1)/2 to (levels - 1)/2 in steps of 1 is needed, of 2 levels or more",
+    "level": "a level from -(levels - 1)/2 to (levels - 1)/2 in steps of 1 is needed, of 2 to 1001 levels",
+    "rating": "a level from -(levels - 1)/2 to (levels - 1)/2 in steps of 1 is needed, of 2 to 1001 levels",
     "equal": "`equal` has no value",
     "unsure": "`unsure` has no value",
     "ranking": "the numbers of all clips from 0 are needed, best first",

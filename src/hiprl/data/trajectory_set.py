@@ -5,13 +5,12 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jax.random as jr
 from jaxtyping import Array, Bool, Float, Int
 
 from hiprl.data.preference import Clip
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.transition import Transitions
-from hiprl.types import Count, Key
+from hiprl.types import Count
 
 
 class Trajectories(eqx.Module):
@@ -59,10 +58,6 @@ class Trajectories(eqx.Module):
     def clip(self, clip: Clip) -> Trajectory:
         """What a clip shows."""
         return self.get(clip.of).cut(clip.start, clip.length)
-
-    def pick(self, *, key: Key) -> Count:
-        """Index of a trajectory drawn uniformly (Algorithm 1: τ ~ T)."""
-        return jr.randint(key, (), 0, self.count)
 
     def transitions(self) -> Transitions:
         """All steps of all trajectories in one batch of capacity * H rows, padding masked."""

@@ -55,7 +55,7 @@ def checked(judging: Judging, clips: tuple[Trajectory, ...], hand: Trajectories,
             raise JudgeError(
                 f"the judge answered {given!r}; one finite number is needed, positive where the first trajectory is "
                 "better, or an Answer. Mend the judge and resume the run: the question is still open. (An environment "
-                "that pays no reward needs a judge of your own.)"
+                "that pays no reward needs a judge of your own, or people: `hiprl teach`.)"
             )
         given = number(g)
     if given.form != "unsure" and given.items != len(clips):

@@ -46,7 +46,7 @@ class QuestionConfig:
         if self.clip is not None and self.clip < 1:
             raise InputError(
                 f"got clips of {self.clip} steps; a clip has at least 1, and people judge 2 to 5 seconds best. "
-                "Say for example `--clip 50`."
+                "Say for example `--clip 50`, or `--clip 0` for whole trajectories."
             )
         if self.pick not in get_args(Pick):
             raise InputError(
@@ -148,14 +148,15 @@ def information(
     var = jnp.maximum(jnp.sum(prior**2, axis=-1) - jnp.sum(half**2, axis=-1), 0.0)
     if config.items > 2:
         C = jnp.einsum("nid,njd->nij", prior, prior) - jnp.einsum("nik,njk->nij", half, half)
-        noise = (reward.kappa / reward.scale) ** 2
+        noise = (reward.errors.kappa / reward.errors.scale) ** 2
         return _distinct(clips, 0.5 * jnp.linalg.slogdet(jnp.eye(C.shape[-1])[None] + C / noise)[1])
     mean, std = mean[:, 0], jnp.sqrt(var[:, 0])
     if config.levels is None:
         return _distinct(clips, jnp.log(jnp.maximum(std, 1e-30)))
     cuts = jnp.arange(1, config.levels) * 2 / (config.levels - 1) - 1 - 1 / (config.levels - 1)
     bits = jax.vmap(expected_information, in_axes=(0, 0, None, None))
-    return _distinct(clips, bits(mean * reward.scale, std * reward.scale, cuts, reward.kappa))
+    kappa, scale = reward.errors.kappa, reward.errors.scale
+    return _distinct(clips, bits(mean * scale, std * scale, cuts, kappa))
 
 
 def expected_information(mean: Scalar, std: Scalar, cuts: Float[Array, " levels_less_1"], kappa: Scalar) -> Scalar:

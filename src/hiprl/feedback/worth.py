@@ -51,7 +51,7 @@ def worth(T: Trajectories, reward: AdditiveReward, config: QuestionConfig, *, ke
     var = jnp.maximum(jnp.sum(psi**2 * reward.prior[None], axis=1) - jnp.sum(half_psi**2, axis=1), 0.0)
     std = jnp.sqrt(var)
     u = (psi @ reward.mean)[:, None] + std[:, None] * jnp.asarray(NODES)[None]  # (n, nodes)
-    p = answers_given(u * reward.scale, reward.kappa, config.levels)  # (n, nodes, answers)
+    p = answers_given(u * reward.errors.scale, reward.errors.kappa, config.levels)  # (n, nodes, answers)
     weights = jnp.asarray(WEIGHTS / WEIGHTS.sum())
     chance = jnp.einsum("j,njl->nl", weights, p)
     shift = jnp.einsum("j,j,njl->nl", weights, jnp.asarray(NODES), p) / jnp.maximum(chance, 1e-12)  # of u, in std

@@ -22,14 +22,21 @@ from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.features import AdditiveFeatures, Kernel, priors_of
 from hiprl.models.likelihood import Noise, for_each, responsibility
 from hiprl.models.relevance import relevance_of, spread_by
-from hiprl.models.reward import AdditiveReward, additive_reward, believed, clip_sums, evidence, most_steps
+from hiprl.models.reward import (
+    JUDGES,
+    AdditiveReward,
+    Errors,
+    additive_reward,
+    believed,
+    clip_sums,
+    evidence,
+    most_steps,
+)
 from hiprl.models.sums import every_step, values
 from hiprl.models.units import lengths_of, units
 from hiprl.models.variational import Answers, Belief, evidence_of, improved, left_out, posterior_of, thin, unknown
 from hiprl.types import Count, Flag, Scalar
 
-JUDGES = 16
-"""Judges whose mistakes are told apart; further ones count as the last."""
 ROUNDS = 6  # at most, of finding units, mistakes and relevance for the reward, and the reward for these
 SAME = 0.05  # relative change of these below which the next round would find nothing new
 STEPS, ENOUGH = 10, 0.3  # Newton steps for a candidate at most, and the gain in nats of one that is the last
@@ -46,19 +53,6 @@ KAPPA = 0.1
 NUMBER_ERROR = 1e-4  # variance of a number's error, over what the prior gives a number, where kinds are mixed
 OFFSET = 0.25  # variance of where a judge sees the middle of a rating
 MISTAKE, TRUST = 0.02, 20.0  # how often a judge errs, and how many answers this belief is worth
-
-
-class Errors(NamedTuple):
-    """How the judges were found to err."""
-
-    kappa: Scalar
-    """Scale of the error of perception, where a whole scale is 1."""
-    mistakes: Float[Array, " judges"]
-    """Share of answers that mean something else."""
-    scale: Scalar
-    """Size of r̂'s unit, where a whole scale is 1 at the time of the newest answer."""
-    spread: Scalar
-    """Standard deviation of the belief about its logarithm."""
 
 
 At: TypeAlias = Int[Array, "3"]
@@ -143,7 +137,7 @@ class Round(NamedTuple):
 
 def estimate_from_answers(
     P: Preferences, T: Trajectories, kernels: tuple[Kernel, ...], *, learn_mistakes: bool = False
-) -> tuple[AdditiveReward, Errors]:
+) -> AdditiveReward:
     """Posterior of the additive reward given answers of any kind, its scales chosen by marginal likelihood.
 
     Args:
@@ -183,8 +177,9 @@ def estimate_from_answers(
         posterior, errors = in_32_bits(
             _posterior(problem, in_64_bits(end), columns=FULL * (features.low.shape[0] + 1), numbers=numbers)
         )
-    spread = jnp.zeros(()) if numbers else errors.spread  # a number has a unit of its own
-    return additive_reward(T, features, *posterior, errors.scale, spread, errors.kappa), errors
+    if numbers:
+        errors = errors._replace(spread=jnp.zeros(()))  # a number has a unit of its own
+    return additive_reward(T, features, *posterior, errors)
 
 
 def in_64_bits(x: PyTree) -> PyTree:
@@ -311,7 +306,10 @@ def _search(
         mean = prior * (flat.T @ (weight * found.belief.dual))  # but for the unit of numbers, which changes no ratio
         root = ((posterior_of(A, given, found.belief).root * weight[None]) @ flat) * prior[None]
         r = values(features, X, mean.astype(X.dtype)).reshape(mask.shape)
-        now, relevant = units(r, T, P, lengths).astype(unit.dtype), relevance_of(mean, prior, root, relevance)
+        now, relevant = (
+            units(r, T, P, lengths, jnp.maximum(P.count - 1, 0)).astype(unit.dtype),
+            relevance_of(mean, prior, root, relevance),
+        )
         wrong = erring(A, given, found.belief) if learn_mistakes else mistakes
         apart = jnp.maximum(far(jnp.where(problem.filled, now / unit, 1.0)), far(wrong / mistakes))
         apart = jnp.maximum(apart, far(relevant / relevance))

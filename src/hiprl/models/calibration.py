@@ -90,8 +90,7 @@ def model_errors(ensemble: Ensemble, tau: Trajectory) -> ModelErrors:
     total = jnp.sqrt(belief.sigma**2 + belief.noise**2)
     covered = jnp.sum(jnp.where(mask, jnp.abs(error) <= NORMAL_90 * total, False))
     beyond_noise = jnp.sqrt(jnp.maximum(error**2 - belief.noise**2, 0.0)) / belief.sigma
-    compact = jnp.argsort(~rows.mask, stable=True)  # executed steps first, for the quantile
-    beta = jax.vmap(conformal_quantile, in_axes=(1, None))(beyond_noise[compact], count)
+    beta = jax.vmap(conformal_quantile, in_axes=(1, None))(beyond_noise, count)  # executed steps come first
     return ModelErrors(
         deviation=jnp.sum(jnp.linalg.norm(error, axis=1)) / count,
         relative=jnp.sqrt(jnp.sum((error / ensemble.step_scale[None]) ** 2) / (count * p)),

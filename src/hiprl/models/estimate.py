@@ -51,5 +51,4 @@ def estimate_reward(
     if numbers:
         return estimate_additive_reward(P, T, config, steps=steps)
     several = len(np.unique(np.asarray(P.judge)[: int(P.count)])) > 1  # by NumPy: JAX would compile for each count
-    reward, _ = estimate_from_answers(P, T, config.kernels, learn_mistakes=several)
-    return reward
+    return estimate_from_answers(P, T, config.kernels, learn_mistakes=several)

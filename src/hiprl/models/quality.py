@@ -56,19 +56,19 @@ def cross_validated(P: Preferences, T: Trajectories, config: RewardConfig, *, fo
         kept = P.only(np.flatnonzero(~out))
         reward = estimate_reward(kept, T, None, config)
         assert isinstance(reward, AdditiveReward)
-        found = np.stack([np.asarray(x) for x in predicted(P, T, reward)])
+        found = np.stack([np.asarray(x) for x in predicted(P, T, reward, newest=np.flatnonzero(~out).max())])
         held[:, : P.capacity][:, :n][:, out] = found[:, :n][:, out]
     return Held(*map(jnp.asarray, held))
 
 
-def predicted(P: Preferences, T: Trajectories, reward: AdditiveReward) -> Held:
-    """What a reward says of each answer in P."""
+def predicted(P: Preferences, T: Trajectories, reward: AdditiveReward, *, newest: int) -> Held:
+    """What a reward says of each answer in P; `newest` is the index of the newest one that it has learned from."""
     features, Psi = compared(T, P)
-    return _predicted(P, T, reward, features, Psi, lengths_of(P))
+    return _predicted(P, T, reward, features, Psi, lengths_of(P), jnp.asarray(newest))
 
 
 @jax.jit
-def _predicted(P: Preferences, T: Trajectories, reward: AdditiveReward, features, Psi, lengths) -> Held:
+def _predicted(P: Preferences, T: Trajectories, reward: AdditiveReward, features, Psi, lengths, newest) -> Held:
     J = Psi.shape[1]
     mean = Psi @ reward.mean
     half = Psi @ reward.root.T
@@ -82,8 +82,8 @@ def _predicted(P: Preferences, T: Trajectories, reward: AdditiveReward, features
     size = jnp.sqrt(jnp.sum(jnp.where(numbers, P.g**2, 0.0)) / count)
     size = jnp.where(size > 0, size, 1.0)
     r = values(features, every_step(features, T), reward.mean).reshape(T.rows.actions.shape[:2])
-    unit = jnp.where(number, 1 / size, reward.scale / units(r, T, P, lengths))
-    kappa = jnp.where(reward.kappa < 1, reward.kappa, KAPPA)  # a reward of numbers alone knows none
+    unit = jnp.where(number, 1 / size, reward.errors.scale / units(r, T, P, lengths, newest))
+    kappa = jnp.where(reward.errors.kappa < 1, reward.errors.kappa, KAPPA)  # a reward of numbers alone knows none
     noise = Noise(kappa, jnp.asarray(NUMBER_ERROR**2 + 1e-4), jnp.asarray(MISTAKE))
 
     def one(draws: Float[Array, "n J"], said: Said):

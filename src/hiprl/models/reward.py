@@ -32,6 +32,7 @@ BOX_MARGIN = 0.25  # how far past the seen range a coordinate, and the reward it
 ROUNDS = 5  # of finding relevance for the scales, and scales for the relevance
 FINER = 1.0  # nats that a smooth part with a lengthscale e times as short has to earn
 MANY = 16_384  # steps over which the features' mean is taken where there are more
+JUDGES = 16  # whose mistakes are told apart; further ones count as the last
 TOGETHER, PART = 8, 512  # clips, and steps, whose features are made at a time: what stays near the processor
 
 
@@ -67,7 +68,8 @@ class AdditiveConfig:
     lengths: tuple[float, ...] = (4.0, 1.0, 0.5)
     """Candidates for the lengthscale of the smooth part, in standard deviations of what was seen."""
     noise: tuple[float, ...] = (1e-6, 1e-4, 1e-2)
-    """Candidates for the variance of an answer's error, over the variance that the prior gives an answer."""
+    """Candidates for the variance of an answer's error, over the variance that the prior gives an answer; where all
+    answers are numbers."""
 
     @property
     def kernels(self) -> tuple[Kernel, ...]:
@@ -87,6 +89,24 @@ def believed(kernels: tuple[Kernel, ...]) -> Float[np.ndarray, " kernels"]:
     return FINER * np.log(length / length.max())
 
 
+class Errors(NamedTuple):
+    """How those who answer were found to err."""
+
+    kappa: Scalar
+    """Scale of the error of perception, where a whole scale is 1."""
+    mistakes: Float[Array, " judges"]
+    """Share of each judge's answers that mean something else."""
+    scale: Scalar
+    """Size of r̂'s unit to who answers by levels, where a whole scale is 1 at the time of the newest answer."""
+    spread: Scalar
+    """Standard deviation of the belief about its logarithm: how much r̂ as a whole may be too large or too small."""
+
+    @classmethod
+    def of_numbers(cls) -> Errors:
+        """Of who answers by numbers alone: nothing of this is known."""
+        return cls(jnp.ones(()), jnp.zeros(JUDGES), jnp.ones(()), jnp.zeros(()))
+
+
 class AdditiveReward(EstimatedReward):
     """r̂(s, a) = φ(s, a)ᵀm with the posterior of θ behind it, kept in the seen range plus a quarter."""
 
@@ -99,12 +119,7 @@ class AdditiveReward(EstimatedReward):
     """L⁻¹ΨP, so that S = P - rootᵀ root."""
     low: Scalar
     high: Scalar
-    scale: Scalar
-    """Size of r̂'s unit to who answers by levels, where a whole scale is 1."""
-    spread: Scalar
-    """Standard deviation of the belief about its logarithm: how much r̂ as a whole may be too large or too small."""
-    kappa: Scalar
-    """Scale of the error of their perception."""
+    errors: Errors
 
     @property
     def going_on(self) -> float:
@@ -121,11 +136,10 @@ class AdditiveReward(EstimatedReward):
         """The same for two clips whose sums of φ differ by ψ."""
         mean = psi @ self.mean
         var = jnp.sum(psi**2 * self.prior) - jnp.sum((self.root @ psi) ** 2)
-        return Gap(mean, jnp.sqrt(jnp.maximum(var, 0.0) + (self.spread * mean) ** 2))
+        return Gap(mean, jnp.sqrt(jnp.maximum(var, 0.0) + (self.errors.spread * mean) ** 2))
 
     def returns(self, T: Trajectories) -> Float[Array, " N"]:
-        sums = jax.vmap(summed, in_axes=(None, 0))(self.features, T.rows) @ self.mean
-        return jnp.where(T.filled, sums, -jnp.inf)
+        return jnp.where(T.filled, sums_of(self.features, T, self.mean), -jnp.inf)
 
 
 def summed(features: AdditiveFeatures, tau: Trajectory) -> Float[Array, " D"]:
@@ -133,6 +147,13 @@ def summed(features: AdditiveFeatures, tau: Trajectory) -> Float[Array, " D"]:
     rows = tau.transitions()
     phi = jax.vmap(features)(rows.s, rows.a)
     return jnp.sum(jnp.where(rows.mask[:, None], phi, 0.0), axis=0)
+
+
+@jax.jit
+def sums_of(features: AdditiveFeatures, T: Trajectories, weights: Float[Array, " D"]) -> Float[Array, " N"]:
+    """Sum of φᵀ weights along each trajectory of T."""
+    each = values(features, every_step(features, T), weights).reshape(T.rows.actions.shape[:2])
+    return jnp.sum(jnp.where(jax.vmap(Trajectory.transitions)(T.rows).mask, each, 0.0), axis=1)
 
 
 def features_of(T: Trajectories) -> AdditiveFeatures:
@@ -231,7 +252,7 @@ def estimate_additive_reward(
         posterior = jax.tree.map(lambda x: x.astype(jnp.float32), posterior)
     mean, prior, root = posterior
     root = jnp.pad(root, ((0, P.capacity * (P.m - 2)), (0, 0)))  # as many rows as answers of any kind need
-    return additive_reward(T, features, mean, prior, root, jnp.ones(()), jnp.zeros(()), jnp.ones(()))
+    return additive_reward(T, features, mean, prior, root, Errors.of_numbers())
 
 
 @jax.jit
@@ -275,11 +296,11 @@ def _posterior(
 
 
 @jax.jit
-def additive_reward(T: Trajectories, features, mean, prior, root, scale, spread, kappa) -> AdditiveReward:
+def additive_reward(T: Trajectories, features, mean, prior, root, errors: Errors) -> AdditiveReward:
     """The posterior with the range of r̂ over the steps of T."""
     r, mask = values(features, every_step(features, T), mean), T.transitions().mask
     low = jnp.min(jnp.where(mask, r, jnp.inf))
     high = jnp.max(jnp.where(mask, r, -jnp.inf))
     margin = BOX_MARGIN * (high - low)
     unit = root_mean_square(r, mask)  # the seen range is within the box
-    return AdditiveReward(unit, features, mean, prior, root, low - margin, high + margin, scale, spread, kappa)
+    return AdditiveReward(unit, features, mean, prior, root, low - margin, high + margin, errors)

@@ -16,7 +16,7 @@ from hiprl.data.trajectory_set import Trajectories
 from hiprl.types import Count
 
 STARTS = 32  # clips of a trajectory over which its spread is taken
-LEAST_UNIT = 1e-3  # of an answer, in that of the newest one
+LEAST_UNIT = 1e-3  # of an answer, in that of the one whose unit is 1
 
 
 def lengths_of(P: Preferences) -> Int[Array, " L"]:
@@ -25,14 +25,17 @@ def lengths_of(P: Preferences) -> Int[Array, " L"]:
     return jnp.asarray(np.resize(lengths, 1 << (len(lengths) - 1).bit_length()))
 
 
-def units(r: Float[Array, "N H"], T: Trajectories, P: Preferences, lengths: Int[Array, " L"]) -> Float[Array, " K"]:
-    """Spread of r̂ over the clips at hand at each answer, over that at the newest one.
+def units(
+    r: Float[Array, "N H"], T: Trajectories, P: Preferences, lengths: Int[Array, " L"], newest: Count
+) -> Float[Array, " K"]:
+    """Spread of r̂ over the clips at hand at each answer, over that at one of them.
 
     Args:
         r: r̂ at each step.
         T: the trajectories.
         P: the answers.
         lengths: what `lengths_of` gives.
+        newest: index of the answer whose unit is 1.
     """
     real = jax.vmap(Trajectory.transitions)(T.rows).mask
     C = jnp.pad(jnp.cumsum(jnp.where(real, r, 0.0), axis=1), ((0, 0), (1, 0)))
@@ -53,5 +56,5 @@ def units(r: Float[Array, "N H"], T: Trajectories, P: Preferences, lengths: Int[
 
     which = jnp.argmax(lengths[None] == P.clips.length[:, :1], axis=1)
     found = jax.lax.map(spread, lengths)[which, jnp.arange(P.capacity)]
-    newest = found[jnp.maximum(P.count - 1, 0)]
-    return jnp.where(newest > 0, jnp.maximum(found / newest, LEAST_UNIT), 1.0)
+    one = found[newest]
+    return jnp.where(one > 0, jnp.maximum(found / one, LEAST_UNIT), 1.0)

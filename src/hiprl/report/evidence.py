@@ -13,10 +13,9 @@ from hiprl.data.preference import WHOLE, Given, Preferences
 from hiprl.data.trajectory import trajectory_from
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import InputError
-from hiprl.models.answers import JUDGES, estimate_from_answers
 from hiprl.models.estimate import RewardConfig, estimate_reward
 from hiprl.models.quality import Held, Shape, cross_validated, shapes
-from hiprl.models.reward import AdditiveConfig, AdditiveReward
+from hiprl.models.reward import JUDGES, AdditiveConfig, AdditiveReward, EstimatedReward
 from hiprl.spec import from_plain
 from hiprl.store.rows import QuestionRow, RunRow
 from hiprl.store.store import Store
@@ -171,13 +170,19 @@ def judges_of(store: Store, row: RunRow) -> list[str]:
     return list(dict.fromkeys(by.values()))
 
 
-def opinions(store: Store, row: RunRow, T: Trajectories, P: Preferences, config: RewardConfig) -> dict[str, Any]:
-    """Who answered how much and how often each errs, where there are several; and how often they agree."""
+def opinions(store: Store, row: RunRow, P: Preferences, reward: EstimatedReward) -> dict[str, Any]:
+    """Who answered how much and how often each errs, where there are several; and how often they agree.
+
+    Args:
+        store: has the run.
+        row: of the run.
+        P: its answers.
+        reward: learned from these.
+    """
     names, by = judges_of(store, row), np.asarray(P.judge)[: int(P.count)]
-    if len(names) < 2 or not isinstance(config, AdditiveConfig):
+    if len(names) < 2 or not isinstance(reward, AdditiveReward):
         return {"judges": [], "agreement": None}
-    found = lambda: estimate_from_answers(P, T, config.kernels, learn_mistakes=True)[1]
-    mistakes = None if P.only_numbers() else found().mistakes
+    mistakes = None if P.only_numbers() else reward.errors.mistakes
     each = [
         {
             "judge": name,

@@ -61,7 +61,7 @@ def single(run: Record, panels: tuple[Panel, ...]) -> Figure:
 def headline(run: Record) -> str:
     """What the run is and what came of it."""
     settings = setting(run.row).words(most=3)
-    words = f"{run.row.env}: seed {run.row.seed}, {settings}, {len(run.episodes)} comparisons"
+    words = f"{run.row.env}: seed {run.row.seed}, {settings}, {run.answered} comparisons"
     if run.final is None or run.final["return_mean"] is None:
         return words
     mean, std, n = (run.final[name] for name in ("return_mean", "return_std", "eval_episodes"))
@@ -79,9 +79,10 @@ def draw(panel: Panel, axes: Axes, run: Record) -> None:
     if not len(run.episodes):
         say_nothing_known(axes, "no episode yet")
         return
-    axes.set_xlim(0.4, max(run.planned, int(run.k[-1])) + 0.6)
-    if (warm_up := int(np.sum(~run.searched))) and axes.lines:
-        axes.axvspan(0.4, warm_up + 0.5, color="#f3f3f3", linewidth=0, zorder=0)
+    first = min(run.k[0], 1) - 0.6  # a person may answer first when some episodes are done
+    axes.set_xlim(first, max(run.planned, run.answered) + 0.6)
+    if not run.searched.all() and axes.lines:
+        axes.axvspan(first, run.k[~run.searched].max() + 0.5, color="#f3f3f3", linewidth=0, zorder=0)
 
 
 def learning(axes: Axes, run: Record) -> None:

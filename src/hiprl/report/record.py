@@ -36,6 +36,12 @@ class Record:
         """K, the comparisons that the run was to have."""
         return self.row.spec["config"]["comparisons"]
 
+    @property
+    def answered(self) -> int:
+        """How many comparisons were answered by its end, or by its newest episode."""
+        last = int(self.episodes[-1].get("comparisons", 0)) if self.episodes else 0
+        return last if self.final is None else int(self.final.get("comparisons", last))
+
     def series(self, name: str, *, within: str | None = None) -> np.ndarray:
         """One number an episode, from its facts; `within` names the facts inside them that hold it."""
         facts = self.episodes if within is None else [episode.get(within) or {} for episode in self.episodes]

@@ -30,7 +30,7 @@ class EventFiles:
             run_id: of the run, and the name of its folder.
             past: episodes that are finished already; written unless there are event files of this run.
         """
-        place = Path(folder) / run_id
+        place = Path(folder).expanduser() / run_id
         again = any(place.glob("events.out.tfevents.*"))
         # The suffix keeps two trainers of one second apart. A thread writes what is a second old.
         self._writer = writer_class()(str(place), flush_secs=1, filename_suffix=f".{len(past)}")

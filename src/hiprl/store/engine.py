@@ -155,12 +155,15 @@ def _sqlite(path: Path, *, create: bool, busy_seconds: float) -> Database:
         raise InputError("got no file for the store; it lives in a file, so that a run survives. Name one: runs.db")
     if path.is_dir():
         raise InputError(f"{path} is a folder; a store is a file. Name a file in it: {path / 'runs.db'}")
+    if not create and not path.exists():
+        raise InputError(
+            f"there is no store {path}; one made by an earlier run is needed. Go to the folder in which the run was "
+            "begun, or name the store with `--store`."
+        )
     if not path.parent.is_dir():
         raise InputError(
             f"there is no folder {path.parent}; the store's folder must exist. Create it, or name another."
         )
-    if not create and not path.exists():
-        raise InputError(f"there is no store {path}; one made by an earlier run is needed. Check the path.")
     engine = sa.create_engine(sa.URL.create("sqlite", database=str(path)), connect_args={"timeout": busy_seconds})
 
     @event.listens_for(engine, "connect")

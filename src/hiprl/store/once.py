@@ -96,7 +96,7 @@ def _check_clips(connection: sa.Connection, run_id: str, clips: Sequence[ClipRow
 
 
 def add_answer(connection: sa.Connection, run_id: str, k: int, answer: Answer, judge: str, swapped: bool) -> bool:
-    """An answer to episode k's question; False, and nothing, if this judge's newest answer is the same."""
+    """An answer to episode k's question; False, and nothing, if its newest one is this judge's and the same."""
     mine = (questions.c.run_id == run_id) & (questions.c.k == k)
     asked = connection.execute(sa.select(questions.c.id, questions.c.clips).where(mine)).one_or_none()
     if asked is None:
@@ -131,7 +131,7 @@ def _fitting(n: int) -> str:
 
 
 def add_episode(connection: sa.Connection, run_id: str, k: int, facts: Mapping[str, Any], checkpoint: bytes) -> None:
-    """The facts of episode k and the state after it; drops all checkpoints but the newest."""
+    """The facts of episode k and the state after it; drops all checkpoints but the two newest."""
     row = {"run_id": run_id, "k": k, "created_at": datetime.now(UTC)}
     mine = (checkpoints.c.run_id == run_id) & (checkpoints.c.k == k)
     done = sa.select(episodes.c.k).where(episodes.c.run_id == run_id, episodes.c.k == k)

@@ -12,7 +12,7 @@ from hiprl.data.answer import Answer
 from hiprl.store.arrays import array_from_bytes, array_to_bytes
 
 Kind: TypeAlias = Literal["random", "policy"]
-"""How a trajectory came about: by random actions before the first episode, or by the episode's policy."""
+"""How a trajectory came about: by random actions, or by the policy of its episode."""
 
 
 @runtime_checkable

@@ -317,7 +317,7 @@ class Store:
             swapped: whether the judge was shown the second one first.
 
         Returns:
-            False if this judge's newest answer was the same: said twice is said once.
+            False if the newest one was this judge's and the same: said twice is said once.
 
         Raises:
             InputError: nothing is asked there, or the answer is about more or fewer clips than the question.
@@ -358,6 +358,27 @@ class Store:
         """
         with self._database.writing() as connection:
             lock_run(connection, run_id, self.name)
+            add_episode(connection, run_id, k, facts, checkpoint)
+
+    def finish_practice(
+        self,
+        run_id: str,
+        k: int,
+        number: int,
+        tau: Executed,
+        kind: Kind,
+        facts: Mapping[str, Any],
+        checkpoint: bytes,
+        *,
+        film: bytes | None = None,
+    ) -> None:
+        """`add_trajectory` and `finish_episode` at once, so that an episode that is cut off leaves nothing.
+
+        It is another one when the run goes on, which may know more answers by then.
+        """
+        with self._database.writing() as connection:
+            lock_run(connection, run_id, self.name)
+            add_trajectory(connection, run_id, TrajectoryRow.of(tau, number=number, kind=kind), film)
             add_episode(connection, run_id, k, facts, checkpoint)
 
     def episodes(self, run_id: str) -> list[tuple[int, dict[str, Any]]]:

@@ -22,7 +22,7 @@ POLICY = (
 HEADERS = {
     "Content-Security-Policy": POLICY,
     "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
+    "Referrer-Policy": "same-origin",  # with none, browsers do not say from where a form was sent
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
@@ -56,7 +56,9 @@ class Doors:
 
     def let_in(self, response: Response) -> Response:
         """The response with the cookie by which the browser is known."""
-        response.set_cookie(COOKIE, self._session, httponly=True, samesite="strict", path="/")
+        response.set_cookie(
+            COOKIE, self._session, httponly=True, samesite="lax", path="/"
+        )  # strict: not after a link in a mail
         return response
 
 

@@ -118,14 +118,14 @@ class Shown:
     def answers(self, run_id: str) -> list[Plain]:
         """All that was said, with whether the learned reward is of the same opinion."""
         facts = [facts for _, facts in self.store.episodes(run_id)]
-        otherwise = next((set(one["disagrees"]) for one in reversed(facts) if "disagrees" in one), None)
+        latest = next((one for one in reversed(facts) if "disagrees" in one), {})
+        agrees = dict.fromkeys(latest.get("agrees", []), True) | dict.fromkeys(latest.get("disagrees", []), False)
         questions = {question.k: question for question in self.store.questions(run_id)}
         newest = {row.k: row for row in self.store.answers(run_id)}
-        return [self._answer(row, questions[k], otherwise) for k, row in sorted(newest.items())]
+        return [self._answer(row, questions[k], agrees.get(k)) for k, row in sorted(newest.items())]
 
-    def _answer(self, row: AnswerRow, question: QuestionRow, otherwise: set[int] | None) -> Plain:
+    def _answer(self, row: AnswerRow, question: QuestionRow, agrees: bool | None) -> Plain:
         clips = [{"trajectory": clip.of, "start": clip.start, "steps": clip.length} for clip in question.clips]
-        agrees = None if otherwise is None or not row.answer.side else row.k not in otherwise
         return {
             "k": row.k,
             "judge": row.judge,

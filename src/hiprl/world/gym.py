@@ -296,8 +296,8 @@ def _action_size(space: spaces.Space, name: str) -> int:
     if isinstance(space, (spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)):
         raise InputError(
             f"got {name} with actions of kind {type(space).__name__}; hiprl needs real-valued actions (a "
-            "Box), and no wrapper makes them so. Take a version with continuous actions, as "
-            "MountainCarContinuous-v0 is of MountainCar-v0."
+            "Box). Take a version with continuous actions, as MountainCarContinuous-v0 is of MountainCar-v0 and "
+            "InvertedPendulum-v5 of CartPole-v1."
         )
     if not isinstance(space, spaces.Box):
         raise InputError(

@@ -1,0 +1,40 @@
+"""How `hiprl teach` begins, and what it says to go on with."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from hiprl.cli import teaching
+from hiprl.cli.commands import Resume, Teach
+from hiprl.cli.serving import known_as
+from hiprl.cli.training import typed
+from hiprl.session import spec_of
+from hiprl.store.store import open_store
+
+
+def test_clips_of_no_steps_are_whole_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(teaching, "follow", lambda store, run_id, *_: asked.append(spec_of(store, run_id)) or {})
+    store = str(tmp_path / "runs.db")
+    for clip in (0, 30, None):
+        teaching.teach(Teach(env="linear", clip=clip, port=0, store=store))
+    assert [spec.config.question.clip for spec in asked] == [None, 30, 50]
+
+
+def test_a_taught_run_is_resumed_with_its_page_where_it_was(tmp_path: Path) -> None:
+    with open_store(tmp_path / "runs.db") as store:
+        there = Teach(env="linear", host="0.0.0.0", port=9000, no_browser=True)
+        flags = "--host 0.0.0.0 --port 9000 --no-browser"
+        assert typed("resume", "a-run", store, there) == f"hiprl resume a-run {flags}"
+        assert typed("resume", "a-run", store, Resume(run="a", port=0)) == "hiprl resume a-run --port 0"
+        assert typed("show", "a-run", store, there) == "hiprl show a-run"
+        assert typed("resume", "a-run", store, Teach(env="linear")) == "hiprl resume a-run"
+
+
+def test_a_page_for_all_is_told_by_the_name_of_the_machine() -> None:
+    assert known_as("0.0.0.0") == known_as("::") == socket.gethostname()
+    assert known_as("127.0.0.1") == known_as("::1") == "localhost"
+    assert (known_as("192.0.2.1"), known_as("2001:db8::1")) == ("192.0.2.1", "[2001:db8::1]")
