@@ -21,6 +21,7 @@ from typing import Any
 from benchmarks.common import Report, add_core, one_core, parser, progress
 
 SHARE = 3  # a run is killed after at most this part of the time that it needs: so several times before its end
+LONGER = 1.5  # times as long as that, for each time that it was killed before it had done one more episode
 OWN = ("run", "store", "wall_seconds")  # of a summary: what differs between two runs
 
 
@@ -134,9 +135,9 @@ def measure(options: argparse.Namespace, folder: Path, report: Report) -> list[s
     expected, wrong, number = facts(alone), [], 0
     while len(report.rows) < options.kills:
         number += 1
-        store, held, going = folder / f"killed-{number}.db", [], True
+        store, held, going, before, stuck = folder / f"killed-{number}.db", [], True, 0, 0
         while going and len(report.rows) < options.kills:
-            after = moments.uniform(0, took / SHARE)
+            after = moments.uniform(0, took / SHARE * LONGER**stuck)
             going = killed(command(options, store), after)
             if not going:
                 break
@@ -145,6 +146,7 @@ def measure(options: argparse.Namespace, folder: Path, report: Report) -> list[s
                 wrong.append(f"run {number} lost an answer")
             held = now
             done = len(facts(store)["episodes"]) if run_in(store) is not None else 0
+            before, stuck = done, stuck + 1 if done == before else 0
             report.add(kill=len(report.rows) + 1, run=number, after_s=after, episodes_done=done, answers=len(now))
             progress(f"kill {len(report.rows)}: run {number} after {after:.1f} s, with {done} episodes done")
         if going:
