@@ -17,7 +17,10 @@ from hiprl.errors import HiprlError, InputError
 
 DONE, FAILED, WRONG_INPUT = 0, 1, 2
 
-DESCRIPTION = "Teach an agent a behaviour from a handful of comparisons, with no reward function."
+DESCRIPTION = (
+    "Teach an agent a behaviour from a handful of comparisons, with no reward function.\n"
+    "`hiprl COMMAND --help` explains a command, `hiprl --version` says which version this is."
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
