@@ -56,7 +56,7 @@ def cross_validated(P: Preferences, T: Trajectories, config: RewardConfig, *, fo
         kept = P.only(np.flatnonzero(~out))
         reward = estimate_reward(kept, T, None, config)
         assert isinstance(reward, AdditiveReward)
-        found = np.stack([np.asarray(x) for x in predicted(P, T, reward, newest=np.flatnonzero(~out).max())])
+        found = np.stack([np.asarray(x) for x in predicted(P, T, reward, newest=int(np.flatnonzero(~out).max()))])
         held[:, : P.capacity][:, :n][:, out] = found[:, :n][:, out]
     return Held(*map(jnp.asarray, held))
 
