@@ -111,11 +111,13 @@ def test_a_linear_system_is_driven_within_three_percent_of_its_optimum():
     def longer(f_tilde, reward, unit, places, state, key):
         return gradient_search(f_tilde, reward, unit, None, places, state, config, H=1000, setbacks=NONE, key=key)
 
-    task, state, _ = linear_search(longer, unit=0.02)
-    task, state, _ = linear_search(longer, state=state, seed=3, unit=0.02)
-    # the same episodes for both: what is left is the policy's own regret
-    regret = worth(task, task.optimal_actor(), 64) - worth(task, follow(state), 64)
-    assert regret < 0.03 * abs(task.optimal_return())
+    regrets = []
+    for seed in (11, 12, 13):  # one draw alone is luck: from 0.5 to 5 %
+        task, state, _ = linear_search(longer, unit=0.02, seed=seed)
+        task, state, _ = linear_search(longer, state=state, seed=seed + 100, unit=0.02)
+        # the same episodes for both: what is left is the policy's own regret
+        regrets.append(worth(task, task.optimal_actor(), 64) - worth(task, follow(state), 64))
+    assert np.median(regrets) < 0.03 * abs(task.optimal_return())
     assert task.expected_return(np.zeros((q, p))) < 2 * task.optimal_return()
 
 
