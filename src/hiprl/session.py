@@ -46,7 +46,7 @@ from hiprl.models.reward import AdditiveReward
 from hiprl.models.reward_network import NetworkConfig
 from hiprl.spec import from_plain, to_plain, versions
 from hiprl.store.arrays import pack, unpack
-from hiprl.store.rows import ClipRow
+from hiprl.store.rows import ClipRow, TrajectoryRow
 from hiprl.store.store import Store
 from hiprl.types import Actor, Key
 from hiprl.world.task import World
@@ -207,11 +207,16 @@ def one_episode(
     return after
 
 
+def row_of(new: Attempt, number: int) -> TrajectoryRow:
+    """What an episode executed, as the store keeps it."""
+    return TrajectoryRow.of(new.tau, number=number, kind="policy" if new.searched else "random")
+
+
 def asked(store: Store, run_id: str, k: int, run: Run, question: Question, judging: Judging, *, key: Key) -> Answer:
     """The answer to episode k's question, which is written down first: from the store if it is there, or the judge."""
     T = run.T.add(question.tau)
     rows = [clip_row(clip) for clip in question.shown]
-    store.open_question(run_id, k, int(T.last), question.tau, "policy" if question.attempt.searched else "random", rows)
+    store.open_question(run_id, k, row_of(question.attempt, int(T.last)), rows)
     answer = store.answer_of(run_id, k)
     if answer is None:
         try:

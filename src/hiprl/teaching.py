@@ -40,6 +40,7 @@ from hiprl.session import (
     finite_or_none,
     foreseen,
     refuse_finished,
+    row_of,
     shape_of_run,
     spec_of,
     worth_of,
@@ -78,7 +79,8 @@ class Known:
 
     def with_answers(self, run: Run) -> Run:
         """The same with the answers and r̂ that there are by now."""
-        return eqx.tree_at(lambda run: (run.P, run.reward), run, (self._run.P, self._run.reward))
+        newest = self._run  # looked at once: both must be of the same moment
+        return eqx.tree_at(lambda run: (run.P, run.reward), run, (newest.P, newest.reward))
 
     def lived(self, run: Run) -> None:
         """Takes over all but the answers and r̂, which may be newer here."""
@@ -316,9 +318,8 @@ def practised(
         told, asking.foresight = asking.foresight, []
         facts |= {"foreseen": float(np.mean(told)) if told else None}
         facts |= {"weights": asking.weights, "agrees": asking.agrees, "disagrees": asking.disagrees, **asking.opinions}
-    facts, kind = finite_or_none(facts), "policy" if new.searched else "random"
-    film = film_of(world)
-    store.finish_practice(run_id, facts["k"], int(run.T.count), new.tau, kind, facts, pack(after), film=film)
+    facts, tau = finite_or_none(facts), row_of(new, int(run.T.count))
+    store.finish_episode(run_id, facts["k"], facts, pack(after), tau=tau, film=film_of(world))
     known.lived(after)  # now it may be asked about
     watch(facts)
 

@@ -168,7 +168,7 @@ def test_a_run_of_0001_goes_on(where: str):
         with pytest.raises(StoreError, match=r"it is about \(1, 0\) and \(1, 0\[2:\]\)"):
             store.ask("ant-1", 1, [ClipRow(1), ClipRow(0, 2)])
         store.answer("ant-1", 3, CANNOT_TELL, "Ada")  # newer than all that was there
-        asked = store.open_question("ant-1", 4, 4, trajectory(4), "policy", [ClipRow(4, 2, 3), ClipRow(0), ClipRow(4)])
+        asked = store.open_question("ant-1", 4, trajectory(4), [ClipRow(4, 2, 3), ClipRow(0), ClipRow(4)])
         assert asked == 4
         store.answer("ant-1", 4, ranking((2, 0, 1)), "Ada")
         assert [row.answer for row in store.questions()] == [None, number(GS[0]), CANNOT_TELL, ranking((2, 0, 1))]

@@ -212,8 +212,8 @@ def test_a_trajectory_that_differs_in_one_bit_stops_the_run(store: Store, run_id
 
 def test_asking_again_gives_the_same_question(store: Store, run_id: str):
     with_two_trajectories(store, run_id)
-    first = store.open_question(run_id, 1, 2, trajectory(2), "policy", pair(2, 0))
-    assert store.open_question(run_id, 1, 2, trajectory(2), "policy", pair(2, 0)) == first
+    first = store.open_question(run_id, 1, trajectory(2), pair(2, 0))
+    assert store.open_question(run_id, 1, trajectory(2), pair(2, 0)) == first
     assert store.ask(run_id, 1, pair(2, 0)) == first
     assert store.ask(run_id, 2, pair(2, 1)) != first
     with pytest.raises(StoreError, match=r"bit for bit.*episode 1: it is about \(2, 0\) and \(0, 2\)"):
@@ -292,7 +292,7 @@ def test_clips_that_cannot_be_shown_are_refused_and_nothing_is_kept(store: Store
     with pytest.raises(InputError, match=message):
         store.ask(run_id, 1, clips)
     with pytest.raises(InputError, match=message):
-        store.open_question(run_id, 1, 2, trajectory(2), "policy", clips)
+        store.open_question(run_id, 1, trajectory(2), clips)
     assert store.questions(run_id) == []
     assert [row.number for row in store.trajectories(run_id)] == [0, 1]
     store.ask(run_id, 1, pair(0, 1))
@@ -300,11 +300,20 @@ def test_clips_that_cannot_be_shown_are_refused_and_nothing_is_kept(store: Store
         store.ask(run_id, 1, clips)
 
 
+def test_an_episode_comes_with_its_trajectory_or_not_at_all(store: Store, run_id: str):
+    with_two_trajectories(store, run_id)
+    store.finish_episode(run_id, 1, {}, b"1", tau=trajectory(2), film=b"film")
+    assert store.trajectory(run_id, 2).differs_from(trajectory(2)) is None and store.film(run_id, 2) == b"film"
+    with pytest.raises(StoreError, match="bit for bit"):
+        store.finish_episode(run_id, 1, {}, b"another", tau=trajectory(3))
+    assert [row.number for row in store.trajectories(run_id)] == [0, 1, 2]
+
+
 def test_a_question_comes_with_its_trajectory_or_not_at_all(store: Store, run_id: str):
     with_two_trajectories(store, run_id)
     store.ask(run_id, 1, pair(0, 1))
     with pytest.raises(StoreError, match="bit for bit"):
-        store.open_question(run_id, 1, 2, trajectory(2), "policy", pair(2, 0))
+        store.open_question(run_id, 1, trajectory(2), pair(2, 0))
     assert [row.number for row in store.trajectories(run_id)] == [0, 1]
 
 

@@ -28,17 +28,7 @@ from hiprl.store.once import (
     trajectory_columns,
 )
 from hiprl.store.rows import AnswerRow, ClipRow, Executed, Kind, QuestionRow, RunRow, TrajectoryRow
-from hiprl.store.schema import (
-    answers,
-    checkpoints,
-    episodes,
-    finals,
-    goals,
-    questions,
-    runs,
-    scenes,
-    trajectories,
-)
+from hiprl.store.schema import answers, checkpoints, episodes, finals, goals, questions, runs, scenes, trajectories
 from hiprl.store.turns import taken, untaken
 
 _LONGEST = 2**63 - 1  # of an integer in either database
@@ -247,19 +237,11 @@ class Store:
             lock_run(connection, run_id, self.name)
             return add_question(connection, run_id, k, clips)
 
-    def open_question(
-        self,
-        run_id: str,
-        k: int,
-        number: int,
-        tau: Executed,
-        kind: Kind,
-        clips: Sequence[ClipRow],
-    ) -> int:
+    def open_question(self, run_id: str, k: int, tau: TrajectoryRow, clips: Sequence[ClipRow]) -> int:
         """`add_trajectory` and `ask` at once: what an episode must leave behind before a judge is asked."""
         with self._database.writing() as connection:
             lock_run(connection, run_id, self.name)
-            add_trajectory(connection, run_id, TrajectoryRow.of(tau, number=number, kind=kind))
+            add_trajectory(connection, run_id, tau)
             return add_question(connection, run_id, k, clips)
 
     def questions(self, run_id: str | None = None, *, unanswered: bool = False) -> list[QuestionRow]:
@@ -350,35 +332,34 @@ class Store:
 
     # Episodes and the end
 
-    def finish_episode(self, run_id: str, k: int, facts: Mapping[str, Any], checkpoint: bytes) -> None:
+    def finish_episode(
+        self,
+        run_id: str,
+        k: int,
+        facts: Mapping[str, Any],
+        checkpoint: bytes,
+        *,
+        tau: TrajectoryRow | None = None,
+        film: bytes | None = None,
+    ) -> None:
         """Keep what episode k came to, and the state from which episode k + 1 goes on. Older checkpoints go.
+
+        Args:
+            run_id: of the run.
+            k: the episode.
+            facts: what it came to.
+            checkpoint: the state after it.
+            tau: what it executed, if nothing was asked about that yet: an episode that is cut off then leaves nothing,
+                and may be another one when the run goes on.
+            film: what a person is shown of it.
 
         Raises:
             StoreError: it was finished before, in another state.
         """
         with self._database.writing() as connection:
             lock_run(connection, run_id, self.name)
-            add_episode(connection, run_id, k, facts, checkpoint)
-
-    def finish_practice(
-        self,
-        run_id: str,
-        k: int,
-        number: int,
-        tau: Executed,
-        kind: Kind,
-        facts: Mapping[str, Any],
-        checkpoint: bytes,
-        *,
-        film: bytes | None = None,
-    ) -> None:
-        """`add_trajectory` and `finish_episode` at once, so that an episode that is cut off leaves nothing.
-
-        It is another one when the run goes on, which may know more answers by then.
-        """
-        with self._database.writing() as connection:
-            lock_run(connection, run_id, self.name)
-            add_trajectory(connection, run_id, TrajectoryRow.of(tau, number=number, kind=kind), film)
+            if tau is not None:
+                add_trajectory(connection, run_id, tau, film)
             add_episode(connection, run_id, k, facts, checkpoint)
 
     def episodes(self, run_id: str) -> list[tuple[int, dict[str, Any]]]:
