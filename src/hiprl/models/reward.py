@@ -238,15 +238,16 @@ def estimate_additive_reward(
     Source: HIP-RL eq. (7) and Theorem 4.3; the posterior of a linear model observed through sums.
     """
     features, Psi = evidence(T, P, steps=T.rows.actions.shape[1] if steps is None else steps)
-    kernels = config.kernels
+    kernels, noises = config.kernels, len(config.noise)
+    priors = priors_of(features, kernels)
     with jax.enable_x64(True):  # Cholesky of nearly dependent rows: answers are almost free of noise
         posterior = _posterior(
             jnp.asarray(Psi[:, 0], jnp.float64),
             jnp.asarray(jnp.where(P.filled, P.g, 0.0), jnp.float64),
             P.filled,
-            priors_of(features, kernels).astype(jnp.float64),
-            jnp.asarray(config.noise, jnp.float64),
-            jnp.asarray(believed(kernels)),
+            jnp.repeat(priors.astype(jnp.float64), noises, axis=0),
+            jnp.tile(jnp.asarray(config.noise, jnp.float64), len(kernels)),
+            jnp.repeat(jnp.asarray(believed(kernels)), noises),
         )
         posterior = jax.tree.map(lambda x: x.astype(jnp.float32), posterior)
     mean, prior, root = posterior
@@ -259,11 +260,11 @@ def _posterior(
     Psi: Float[Array, "K D"],
     g: Float[Array, " K"],
     filled: Bool[Array, " K"],
-    priors: Float[Array, "kernels D"],
-    noises: Float[Array, " noises"],
-    believed: Float[Array, " kernels"],
+    priors: Float[Array, "G D"],
+    noises: Float[Array, " G"],
+    believed: Float[Array, " G"],
 ):
-    """Mean, prior variance and root for the likeliest kernel and noise: marginal likelihood times prior.
+    """Mean, prior variance and root for the likeliest candidate: marginal likelihood times prior.
 
     What is found relevant under one candidate changes which is the likeliest: a few rounds settle both.
     """
@@ -271,7 +272,8 @@ def _posterior(
     square = jnp.sum(g**2) / n
     least = jnp.where(square > 0, 1e-12 * square, 1.0)  # in the judge's unit, whatever that is
 
-    def candidate(K: Float[Array, "K K"], noise: Scalar, log_prior: Scalar):
+    def candidate(prior: Float[Array, " D"], noise: Scalar, log_prior: Scalar):
+        K = (Psi * prior[None]) @ Psi.T
         level = jnp.where(jnp.trace(K) > 0, jnp.trace(K) / n, 1.0)  # what the prior expects of g²
         K = K + jnp.diag(jnp.where(filled, noise * level, 1.0))
         L = jnp.linalg.cholesky(K)
@@ -280,14 +282,11 @@ def _posterior(
         log_det = 2 * jnp.sum(jnp.where(filled, jnp.log(jnp.diag(L)), 0.0))
         return log_prior - 0.5 * (n * jnp.log(scale) + log_det), (L, G_g, scale)
 
-    def of_kernel(prior: Float[Array, " D"], log_prior: Scalar):
-        return jax.vmap(candidate, in_axes=(None, 0, None))((Psi * prior[None]) @ Psi.T, noises, log_prior)
-
     def one_round(relevance: Float[Array, " entries"], _: None):
         spread = spread_by(priors, relevance)
-        score, found = jax.vmap(of_kernel)(spread, believed)
-        best = jnp.unravel_index(jnp.argmax(score), score.shape)
-        (L, G_g, scale), prior = jax.tree.map(lambda x: x[best], found), spread[best[0]]
+        score, (L, G_g, scale) = jax.vmap(candidate)(spread, noises, believed)
+        best = jnp.argmax(score)
+        L, G_g, scale, prior = L[best], G_g[best], scale[best], spread[best]
         half = jax.scipy.linalg.solve_triangular(L, Psi * prior[None], lower=True)
         posterior = prior * (Psi.T @ G_g), prior * scale, half * jnp.sqrt(scale)
         return relevance_of(*posterior, relevance), posterior
