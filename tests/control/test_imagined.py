@@ -4,7 +4,7 @@ import jax.random as jr
 import numpy as np
 import pytest
 
-from hiprl.control.imagined import SearchReport, report_of, trials
+from hiprl.control.imagined import Chance, SearchReport, report_of, trials
 from hiprl.control.policy import SquashedPolicy
 from tests.control.known import M, known, quadratic, starts
 from tests.data.samples import p, q
@@ -25,7 +25,7 @@ def tried(policy):
 
     @jax.jit
     def compiled(worlds, reward, first, key):
-        return trials(worlds, policy, reward, ends, first, steps=STEPS, n=n, key=key)
+        return trials(worlds, policy, reward, ends, Chance.draw(first, M=M, n=n, steps=STEPS, key=key))
 
     return compiled
 

@@ -19,12 +19,12 @@ import jax.random as jr
 import optax
 from jaxtyping import Array, Float, Int
 
-from hiprl.control.imagined import Ends, SearchReport, SearchState, Starts, along, report_of, trials
+from hiprl.control.imagined import Chance, Ends, SearchReport, SearchState, Starts, along, report_of, trials
 from hiprl.control.policy import SquashedPolicy, Value
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.fit import descend, descent
 from hiprl.models.network import FEW, Activation, Scaler
-from hiprl.types import Count, Key, Policy, Reward, Scalar, State, stacked_size
+from hiprl.types import Count, Key, Reward, Scalar, State, stacked_size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,29 +207,27 @@ def gradient_search(
 
     everywhere = f_tilde.in_each_member()
 
-    def trial(policy: Policy, key: Key) -> SearchReport:
-        length = {"steps": min(config.trial_steps, H), "n": config.trial_starts}
-        return report_of(trials(everywhere, policy, reward, ends, starts.first, **length, key=key))
-
     def chunk(_, carry):
         learner, best, best_report, key = carry
-        key, update_key, trial_key = jr.split(key, 3)
+        key, update_key = jr.split(key)
         learner, _ = jax.lax.scan(partial(update, moving=True), learner, jr.split(update_key, config.updates))
         policy, value = learner[:2]
-        report = trial(policy, trial_key)
+        report = report_of(trials(everywhere, policy, reward, ends, chance))
         better = report.finite & ~(report.worst <= best_report.worst)
         keep = lambda new, old: jnp.where(better, new, old)
         best = jax.tree.map(keep, SearchState(policy, value), best)
         return learner, best, jax.tree.map(keep, report, best_report), key
 
     learner = (policy, value, value, descent(policy_opt, policy), descent(value_opt, value))
-    settle_key, key = jr.split(key)
+    settle_key, trial_key, key = jr.split(key, 3)
+    length = min(config.trial_steps, H)
+    chance = Chance.draw(starts.first, M=M, n=config.trial_starts, steps=length, key=trial_key)
     learner, _ = jax.lax.scan(partial(update, moving=False), learner, jr.split(settle_key, config.settling))
     # Where the search begins is no candidate: it was executed, and to execute it again would teach nothing.
     carry = (learner, state, SearchReport.nothing(), key)
     # A policy near one that holds in the world is likelier to hold there: the model is at fault further away.
-    length = jnp.maximum(config.chunks >> jnp.minimum(setbacks, 1), 1)
-    _, best, report, _ = jax.lax.fori_loop(0, length, chunk, carry)
+    chunks = jnp.maximum(config.chunks >> jnp.minimum(setbacks, 1), 1)
+    _, best, report, _ = jax.lax.fori_loop(0, chunks, chunk, carry)
     return best, report
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from hiprl.control.policy import ClippedPolicy, SquashedPolicy, Value
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.network import Scaler
-from hiprl.types import Action, Flag, Key, Policy, Reward, Scalar, State, stacked_size
+from hiprl.types import Action, Flag, Key, Policy, Reward, Scalar, State
 
 Ends = Callable[[State, Action, State], Flag]
 """When an imagined episode terminates. A pytree, so that a learned rule does not recompile a search."""
@@ -73,18 +73,24 @@ class Starts(eqx.Module):
     """Mean and spread of all seen states."""
 
 
+class Chance(NamedTuple):
+    """What of a trial is chance: policies are compared on the same, or the luckiest would win, and not the best."""
+
+    s_0: Float[Array, "M n p"]
+    draws: Float[Array, "M n steps p"]
+    """Standard normal, for the noise of the world."""
+
+    @classmethod
+    def draw(cls, first: Float[Array, "N p"], *, M: int, n: int, steps: int, key: Key) -> Chance:
+        """Of `n` trials in each of M worlds, from where episodes begin."""
+        start_key, draw_key = jr.split(key)
+        return cls(jr.choice(start_key, first, (M, n)), jr.normal(draw_key, (M, n, steps, first.shape[1])))
+
+
 def trials(
-    worlds: Hallucinated,
-    policy: Policy,
-    reward: Reward,
-    ends: Ends | None,
-    first: Float[Array, "N p"],
-    *,
-    steps: int,
-    n: int,
-    key: Key,
+    worlds: Hallucinated, policy: Policy, reward: Reward, ends: Ends | None, chance: Chance
 ) -> Float[Array, "M n"]:
-    """Return by r̂ of `steps` steps without exploration: `n` times in each world, from where episodes begin."""
+    """Return by r̂ of as many steps as chance has, without exploration: some times in each world."""
 
     def one(world: Hallucinated, s_0: State, draws: Float[Array, "steps p"]) -> Scalar:
         def step(s: State, draw: State):
@@ -96,8 +102,4 @@ def trials(
         _, alive = along(ends, s, a, s_next)
         return jnp.sum(alive * jax.vmap(reward)(s, a))
 
-    start_key, draw_key = jr.split(key)
-    M, p = stacked_size(worlds), first.shape[1]
-    s_0 = jr.choice(start_key, first, (M, n))
-    draws = jr.normal(draw_key, (M, n, steps, p))
-    return jax.vmap(jax.vmap(one, in_axes=(None, 0, 0)))(worlds, s_0, draws)
+    return jax.vmap(jax.vmap(one, in_axes=(None, 0, 0)))(worlds, *chance)

@@ -16,7 +16,7 @@ import jax.random as jr
 import optax
 from jaxtyping import Array, Bool, Float
 
-from hiprl.control.imagined import Ends, SearchReport, SearchState, Starts, goes_on, report_of, trials
+from hiprl.control.imagined import Chance, Ends, SearchReport, SearchState, Starts, goes_on, report_of, trials
 from hiprl.control.policy import LOG_ROOT_2PI, ClippedPolicy, Value, log_normal
 from hiprl.errors import InputError
 from hiprl.hallucinated import Hallucinated
@@ -232,10 +232,10 @@ def ppo_search(
     )
     n = -(-config.total_timesteps // config.n_steps)
     (learner, _, _), _ = jax.lax.scan(iteration, carry, jr.split(iterate_key, n))
-    trial = {"steps": min(config.trial_steps, H), "n": config.trial_starts}
     everywhere = f_tilde.in_each_member()
-    report = report_of(trials(everywhere, learner.policy, reward, ends, starts.first, **trial, key=trial_key))
-    return learner, report
+    size = {"M": stacked_size(everywhere), "n": config.trial_starts, "steps": min(config.trial_steps, H)}
+    chance = Chance.draw(starts.first, **size, key=trial_key)
+    return learner, report_of(trials(everywhere, learner.policy, reward, ends, chance))
 
 
 def advantages(delta: Float[Array, "h n"], fresh: Bool[Array, "h n"], rate: float) -> Float[Array, "h n"]:
