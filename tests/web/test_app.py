@@ -213,7 +213,7 @@ def test_a_token_is_good_once_and_a_password_always(outside, doors: Doors):
         outside.cookies.clear()
         assert outside.post("/enter", data={"token": "open sesame"}).status_code == 303
     cookie = outside.post("/enter", data={"token": "open sesame"}).headers["set-cookie"].lower()
-    assert "httponly" in cookie and "samesite=lax" in cookie
+    assert "httponly" in cookie and "samesite=strict" in cookie
 
 
 @pytest.mark.parametrize("to", ["//evil.example", "https://evil.example", "/\\evil.example", "javascript:1", "/enter"])

@@ -306,10 +306,8 @@ def _search(
         mean = prior * (flat.T @ (weight * found.belief.dual))  # but for the unit of numbers, which changes no ratio
         root = ((posterior_of(A, given, found.belief).root * weight[None]) @ flat) * prior[None]
         r = values(features, X, mean.astype(X.dtype)).reshape(mask.shape)
-        now, relevant = (
-            units(r, T, P, lengths, jnp.maximum(P.count - 1, 0)).astype(unit.dtype),
-            relevance_of(mean, prior, root, relevance),
-        )
+        now = units(r, T, P, lengths, jnp.maximum(P.count - 1, 0)).astype(unit.dtype)
+        relevant = relevance_of(mean, prior, root, relevance)
         wrong = erring(A, given, found.belief) if learn_mistakes else mistakes
         apart = jnp.maximum(far(jnp.where(problem.filled, now / unit, 1.0)), far(wrong / mistakes))
         apart = jnp.maximum(apart, far(relevant / relevance))

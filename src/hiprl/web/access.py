@@ -56,9 +56,7 @@ class Doors:
 
     def let_in(self, response: Response) -> Response:
         """The response with the cookie by which the browser is known."""
-        response.set_cookie(
-            COOKIE, self._session, httponly=True, samesite="lax", path="/"
-        )  # strict: not after a link in a mail
+        response.set_cookie(COOKIE, self._session, httponly=True, samesite="strict", path="/")
         return response
 
 
