@@ -9,8 +9,6 @@ import pytest
 
 from hiprl.algorithm import (
     begin,
-    best_actor,
-    confirmed,
     episode,
     expected,
     learn,
@@ -22,6 +20,7 @@ from hiprl.algorithm import (
 from hiprl.control.plan import Follow, Mpc, PlanConfig
 from hiprl.data.answer import number
 from hiprl.errors import FitDiverged
+from hiprl.reported import best_actor, confirmed
 from hiprl.world.build import world_from
 from hiprl.world.task import World
 from tests.whole.tasks import TINY, exactly
@@ -214,32 +213,50 @@ def test_the_first_search_has_no_setbacks(runs):
     assert same(state, runs[0][0].archive.get(0)) and int(setbacks) == 0
 
 
-class Again(World):
-    """A world in which whatever is executed goes as one trajectory did."""
+class Scripted(World):
+    """A world in which the policy behind each trajectory fares as the trajectories in its list did, in turn."""
 
-    def __init__(self, world: World, tau):
-        self.name, self.p, self.q, self.H, self.tau = world.name, world.p, world.q, world.H, tau
+    def __init__(self, world: World, run, fate: dict[int, list[int]]):
+        self.name, self.p, self.q, self.H, self.run = world.name, world.p, world.q, world.H, run
         self.terminates, self.ends = world.terminates, world.ends
+        self.fate, self.log = {i: list(seen) for i, seen in fate.items()}, []
 
     def roll_out(self, actor, *, key):
-        return self.tau
+        assert isinstance(actor, Follow) and not actor.explore
+        (i,) = (i for i in self.fate if same(actor.policy, self.run.archive.get(i).policy))
+        self.log.append(i)
+        seen = self.fate[i]
+        return self.run.T.get(seen.pop(0) if len(seen) > 1 else seen[0])
 
     def spec(self):
         return None
 
 
+def ranked(run):
+    """The trajectories with a policy behind them, the worst by r̂ first."""
+    returns = np.where(run.archive.filled, run.reward.returns(run.T), -np.inf)
+    return [int(i) for i in np.argsort(returns)[-int(np.sum(run.archive.filled)) :]]
+
+
 def test_a_policy_that_was_lucky_once_is_found_out(runs, world):
     run = runs[0][-1]
-    returns = np.where(run.archive.filled, run.reward.returns(run.T), -np.inf)
-    worst, *_, second, best = np.argsort(returns)[-int(np.sum(run.archive.filled)) :]
-    bad = Again(world, run.T.get(int(worst)))
-    assert returns[best] + returns[worst] < 2 * returns[second]
-    chosen, steps = confirmed(run, bad, replace(TINY, confirmations=1), key=jr.key(0))
-    assert int(chosen) == second and int(steps) == 31
-    chosen, steps = confirmed(run, Again(world, run.T.get(int(best))), TINY, key=jr.key(0))
+    worst, *others, second, best = ranked(run)
+    usual = {i: [i] for i in (worst, *others)}
+    lucky = Scripted(world, run, {**usual, second: [second], best: [worst]})
+    chosen, steps = confirmed(run, lucky, replace(TINY, confirmations=3), key=jr.key(0))
+    assert int(chosen) == second and int(steps) == 3 * 31 and lucky.log[:2] == [best, second]
+    twice = Scripted(world, run, {**usual, second: [second], best: [best, worst]})
+    chosen, _ = confirmed(run, twice, replace(TINY, confirmations=4), key=jr.key(0))
+    assert int(chosen) == second and twice.log == [best, second, best, second]
+    true = Scripted(world, run, {**usual, second: [second], best: [best]})
+    chosen, steps = confirmed(run, true, TINY, key=jr.key(0))
     assert int(chosen) == best and int(steps) == 31 * TINY.confirmations
-    chosen, steps = confirmed(run, bad, replace(TINY, confirmations=0), key=jr.key(0))
-    assert int(chosen) == best and int(steps) == 0
+
+
+def test_without_confirmations_the_rank_of_the_one_episode_counts(runs, world):
+    run = runs[0][-1]
+    chosen, steps = confirmed(run, Scripted(world, run, {}), replace(TINY, confirmations=0), key=jr.key(0))
+    assert int(chosen) == ranked(run)[-1] and int(steps) == 0
 
 
 def test_what_is_executed_is_the_policy_and_some_noise(runs, world):

@@ -18,7 +18,7 @@ from jax.tree_util import Partial
 from hiprl.config import Config
 from hiprl.control.archive import Archive
 from hiprl.control.imagined import Ends, SearchReport, SearchState
-from hiprl.control.plan import Follow, Noisy, planned
+from hiprl.control.plan import Noisy, planned
 from hiprl.control.policy import Uniform
 from hiprl.control.search import new_search, search
 from hiprl.data.answer import Answer
@@ -34,7 +34,7 @@ from hiprl.models.ending import Ending, estimate_ending, new_ending
 from hiprl.models.estimate import estimate_reward, new_reward
 from hiprl.models.reward import BOX_MARGIN, EstimatedReward, Gap
 from hiprl.rollout import J
-from hiprl.types import Actor, Count, Flag, Key, Scalar
+from hiprl.types import Count, Flag, Key, Scalar
 from hiprl.world.task import World
 
 BEGINNING = (1 << 30) - 1  # folded into the run's key before the loop; no run has as many episodes
@@ -299,35 +299,3 @@ def expected(run: Run, question: Question) -> Gap:
     T = run.T.add(question.tau)
     guess = run.reward.gap(T.clip(question.shown[0]), T.clip(question.shown[-1]))
     return jax.tree.map(lambda x: jnp.where(run.P.count > 0, x, jnp.nan), guess)
-
-
-def confirmed(run: Run, world: World, config: Config, *, key: Key) -> tuple[Count, Count]:
-    """Which policy of the archive to report, and how many steps it took to be sure.
-
-    A policy that was lucky in its one episode should not win: what r̂ ranks best is executed again, `confirmations`
-    times in all, and a policy's rank is the mean over its executions. No question is asked about them.
-    """
-    total = jnp.where(run.archive.filled, run.reward.returns(run.T), -jnp.inf)
-    times = jnp.ones_like(total)
-    steps = jnp.zeros((), jnp.int32)
-    for again_key in jr.split(key, config.confirmations):
-        best = jnp.argmax(total / times)
-        tau = world.roll_out(actor_of(run, best, world, config), key=again_key)
-        executed = Trajectories.empty(1, H=world.H, p=world.p, q=world.q).add(tau)
-        total = total.at[best].add(run.reward.returns(executed)[0])
-        times, steps = times.at[best].add(1), steps + tau.length
-    return jnp.argmax(total / times).astype(jnp.int32), steps
-
-
-def best_actor(run: Run, world: World, config: Config) -> Actor:
-    """The policy whose executed trajectory the newest r̂ ranks best."""
-    return actor_of(run, run.archive.best(run.reward.returns(run.T)), world, config)
-
-
-def actor_of(run: Run, i: Count, world: World, config: Config) -> Actor:
-    """The policy behind trajectory `i`, executed without exploration, and with planning only if the run planned."""
-    state = run.archive.get(i)
-    if config.plan.kind == "mpc":
-        f_tilde, ends = hallucinated(run, config), ends_of(run, world)
-        return planned(state, f_tilde, run.reward, ends, config.plan, q=world.q, gamma=config.search.discount(world.H))
-    return Follow(state.policy, world.q, explore=False)

@@ -23,10 +23,7 @@ from hiprl.algorithm import (
     Attempt,
     Question,
     Run,
-    actor_of,
     begin,
-    best_actor,
-    confirmed,
     episode,
     expected,
     no_trajectories,
@@ -44,6 +41,7 @@ from hiprl.feedback.worth import worth
 from hiprl.models.calibration import rollout_errors
 from hiprl.models.reward import AdditiveReward
 from hiprl.models.reward_network import NetworkConfig
+from hiprl.reported import actor_of, best_actor, confirmed
 from hiprl.spec import from_plain, to_plain, versions
 from hiprl.store.arrays import pack, unpack
 from hiprl.store.rows import ClipRow, TrajectoryRow

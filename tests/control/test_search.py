@@ -1,3 +1,5 @@
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
@@ -48,6 +50,24 @@ def test_no_padding_is_imagined_from():
     state, report = search(known(), ONE, None, T_of(3), state, CONFIG, key=jr.key(2))
     assert report.finite and all(np.isfinite(x).all() for x in (state.policy.inputs.mean, state.value.scale))
     assert T_of(3).capacity == N  # there is padding, and it is NaN
+
+
+class Cliff(One):
+    """A reward of 1 a step, and one that spoils all numbers where a policy has run away."""
+
+    def __call__(self, s, a):
+        return jnp.where(jnp.abs(s[0]) > 50, -jnp.inf, 1.0) + 0.1 * s[1]
+
+
+def test_nothing_is_imagined_from_where_one_policy_ran_away():
+    rng = np.random.default_rng(3)
+    away = trajectory(rng, low=500.0, high=600.0)
+    away = eqx.tree_at(lambda tau: tau.states, away, away.states.at[0].set(0.0))
+    T = set_of([*(trajectory(rng) for _ in range(5)), away])
+    state = new_search(T, q, CONFIG, key=jr.key(1))
+    state, report = search(known(), Cliff(jnp.ones(())), None, T, state, CONFIG, key=jr.key(2))
+    numbers = jax.tree.leaves(eqx.filter((state.policy, state.value), eqx.is_inexact_array))
+    assert report.finite and all(np.isfinite(x).all() for x in numbers)
 
 
 def test_a_trial_lasts_no_longer_than_an_episode():

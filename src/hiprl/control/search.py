@@ -16,7 +16,7 @@ from hiprl.data.trajectory_set import Trajectories
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.network import state_scaler
 from hiprl.models.reward import EstimatedReward
-from hiprl.models.rows import RowDraw
+from hiprl.models.usual import counts
 from hiprl.types import Count, Key
 
 SearchConfig: TypeAlias = GradientConfig | PPOConfig
@@ -54,7 +54,8 @@ def search(
     """
     start_key, search_key = jr.split(key)
     rows = T.transitions()
-    seen = rows.s[RowDraw.of(rows.mask)(start_key, (SEEN_STATES,))]
+    usual = counts(jax.vmap(reward)(rows.s, rows.a), T)
+    seen = jr.choice(start_key, rows.s, (SEEN_STATES,), p=usual)
     starts = Starts(seen, T.first_states(), state_scaler(T))
     H = T.rows.actions.shape[1]
     if isinstance(config, GradientConfig):

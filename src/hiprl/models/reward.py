@@ -26,6 +26,7 @@ from hiprl.models.features import AdditiveFeatures, Kernel, by_entry, priors_of,
 from hiprl.models.network import Scaler
 from hiprl.models.relevance import relevance_of, spread_by
 from hiprl.models.sums import columns, every_step, side_by_side, total, values
+from hiprl.models.usual import typical_size
 from hiprl.types import Action, Reward, Scalar, State
 
 BOX_MARGIN = 0.25  # how far past the seen range a coordinate, and the reward itself, may count
@@ -48,7 +49,7 @@ class EstimatedReward(Reward):
     """A learned r̂ that also says how sure it is of a preference."""
 
     unit: Scalar
-    """Root mean square of r̂ over the steps seen: the scale of a reward."""
+    """Root mean square of r̂ over the usual steps: the scale of a reward."""
 
     @abstractmethod
     def gap(self, tau: Trajectory, other: Trajectory) -> Gap:
@@ -179,19 +180,6 @@ def in_parts(x: Shaped[Array, "n steps"]) -> Shaped[Array, "parts n PART"]:
     return x.reshape(x.shape[0], -1, PART).swapaxes(0, 1)
 
 
-def typical_size(reward: Reward, T: Trajectories) -> Scalar:
-    """Root mean square of r̂ over the steps of T; 1 where r̂ is zero everywhere."""
-    rows = T.transitions()
-    r = jax.vmap(reward)(rows.s, rows.a)
-    return root_mean_square(r, rows.mask)
-
-
-def root_mean_square(r: Float[Array, " n"], mask: Bool[Array, " n"]) -> Scalar:
-    """Of the rewards of the steps seen; 1 where they are all zero."""
-    square = jnp.sum(jnp.where(mask, r**2, 0.0)) / jnp.maximum(jnp.sum(mask), 1)
-    return jnp.where(square > 0, jnp.sqrt(square), 1.0)
-
-
 def clip_sum(features: AdditiveFeatures, T: Trajectories, clip: Clip, steps: int) -> Float[Array, " D"]:
     """Sum of φ over a clip of at most `steps` steps; 0 for nobody's."""
     n = jnp.minimum(clip.length, jnp.maximum(T.rows.length[clip.of] - clip.start, 0))
@@ -302,5 +290,5 @@ def additive_reward(T: Trajectories, features, mean, prior, root, errors: Errors
     low = jnp.min(jnp.where(mask, r, jnp.inf))
     high = jnp.max(jnp.where(mask, r, -jnp.inf))
     margin = BOX_MARGIN * (high - low)
-    unit = root_mean_square(r, mask)  # the seen range is within the box
+    unit = typical_size(r, T)  # the seen range is within the box
     return AdditiveReward(unit, features, mean, prior, root, low - margin, high + margin, errors)

@@ -18,7 +18,8 @@ from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import InputError
 from hiprl.models.fit import descend, descent
 from hiprl.models.network import MLP, Activation, Scaler, state_action_scaler
-from hiprl.models.reward import EstimatedReward, Gap, typical_size
+from hiprl.models.reward import EstimatedReward, Gap
+from hiprl.models.usual import typical_size
 from hiprl.types import Action, Key, Scalar, State
 
 
@@ -107,4 +108,5 @@ def estimate_network_reward(
 
     (nets, _), _ = jax.lax.scan(step, (nets, descent(optimiser, nets)), length=config.steps)
     trained = NetworkReward(jnp.ones(()), nets, inputs)
-    return eqx.tree_at(lambda r: r.unit, trained, typical_size(trained, T))
+    rows = T.transitions()
+    return eqx.tree_at(lambda r: r.unit, trained, typical_size(jax.vmap(trained)(rows.s, rows.a), T))
