@@ -266,6 +266,27 @@ def test_an_episode_is_kept_for_each_answer_that_is_to_come(tmp_path):
     assert seen[-1][1] == 8 and seen[-1][0] + 1 == config.trajectories
 
 
+def test_it_ends_when_a_judge_has_had_enough(tmp_path):
+    path, waits = str(tmp_path / "runs.db"), []
+    run_id = begun(path)
+
+    def answer(what):
+        waits.append(what)
+        if what == "the first answers":
+            with open_store(path) as store:
+                for _ in range(2):
+                    while (question := store.claim(run_id, "ada")) is None:
+                        time.sleep(0.02)
+                    store.answer(run_id, question.k, level(2, 5), "ada")
+                store.say_enough(run_id, "ada")
+
+    summary = teach(path, run_id, wait=answer)
+    assert summary["comparisons"] == 2 < FIRST and "an answer" not in waits
+    with open_store(path) as store:
+        assert store.final(run_id) == summary and len(store.questions(run_id)) <= 2 + OPEN
+        assert any(facts["searched"] for _, facts in store.episodes(run_id))
+
+
 def test_after_a_resume_old_answers_are_not_told_as_foreseen(tmp_path):
     path = str(tmp_path / "runs.db")
     run_id = begun(path)

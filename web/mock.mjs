@@ -132,6 +132,7 @@ createServer(async (req, res) => {
     const got = await body(req);
     console.log(what, JSON.stringify(got));
     if (what === "goal") run.goal = got.goal;
+    else if (what === "enough") run.done = true;
     else {
       run.answers = run.answers.filter((a) => a.k !== got.k);
       run.answers.push({ ...got, at: new Date().toISOString(), agrees: null });

@@ -147,6 +147,8 @@ class Asking:
 
     def ask(self) -> None:
         """Asks until enough is open, with what is known by now: a newer r̂ is not waited for."""
+        if self.store.enough(self.row.id):
+            return
         questions = self.store.questions(self.row.id)
         asked, before = len(questions), {frozenset(question.clips) for question in questions}
         while asked < self.most() and self.store.unseen(self.row.id) < OPEN and not self.stop.is_set():
@@ -231,7 +233,9 @@ def taught(
     watch: Watch = lambda facts: None,
     wait: Callable[[str], None] = lambda what: None,
 ) -> Facts:
-    """Learns from the answers that come, until as many were given as the run is to have; gives its summary.
+    """Learns from the answers that come, until the run has as many as it is to have, or a judge says enough.
+
+    Gives its summary.
 
     Args:
         store: where questions are asked and answers come.
@@ -260,12 +264,13 @@ def taught(
                 if asking.failed is not None:
                     raise asking.failed
                 idle, heard = 0 if known.answers != heard else idle, known.answers
-                lived_so_far, kept = int(known.run.T.count), max(0, config.comparisons - heard)  # an episode an answer
-                room = lived_so_far < max(config.warm_up, known.run.T.capacity - kept)
-                if heard >= config.comparisons and (idle >= PRACTICE or not room):
+                to_come = 0 if store.enough(run_id) else max(0, config.comparisons - heard)
+                lived_so_far = int(known.run.T.count)
+                room = lived_so_far < max(config.warm_up, known.run.T.capacity - to_come)  # an episode an answer
+                if not to_come and (idle >= PRACTICE or not room):
                     break
                 warm = lived_so_far >= config.warm_up
-                few = warm and heard < min(FIRST, config.comparisons)
+                few = warm and to_come > 0 and heard < FIRST
                 pauses = few or idle >= PRACTICE or not room
                 asking.trainer_waits = pauses and not few
                 before, waits = waits, "" if not pauses else "the first answers" if few else "an answer"

@@ -46,7 +46,8 @@ def emptied_database(postgres_folder: Path) -> Callable[[], str]:
                 "DELETE FROM claims; DELETE FROM answers; DELETE FROM questions; DELETE FROM trajectories"
             )
             connection.execute("DELETE FROM leases; DELETE FROM checkpoints; DELETE FROM episodes")
-            connection.execute("DELETE FROM finals; DELETE FROM scenes; DELETE FROM goals; DELETE FROM runs")
+            connection.execute("DELETE FROM finals; DELETE FROM scenes; DELETE FROM goals")
+            connection.execute("DELETE FROM enough; DELETE FROM runs")
         return url
 
     return empty

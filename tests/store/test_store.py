@@ -448,6 +448,16 @@ def test_an_episode_that_cannot_be_written_leaves_nothing(where: str):
         assert [k for k, _ in store.episodes(run_id)] == [1]
 
 
+def test_enough_is_said_once_and_of_one_run(store: Store, run_id: str):
+    other = store.add_run("Ant-v5", 0, {}, {})
+    assert not store.enough(run_id)
+    for judge in ("ada", "bo"):
+        store.say_enough(run_id, judge)
+    assert store.enough(run_id) and not store.enough(other)
+    with pytest.raises(InputError, match="there is no run"):
+        store.say_enough("hopper-0000", "ada")
+
+
 def test_a_finished_run_keeps_its_summary_and_policy(store: Store, run_id: str):
     assert store.final(run_id) is None
     assert store.policy(run_id) is None

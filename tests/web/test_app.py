@@ -139,6 +139,27 @@ def test_progress_follows_the_run(client, store: Store, run_id: str):
     assert told()["state"] == "finished"
 
 
+def test_after_enough_nothing_more_is_asked(client, store: Store, run_id: str):
+    enough = lambda **told: client.post(f"/api/runs/{run_id}/enough", json=told)
+    assert enough(judge="ada").status_code == 400 and enough().status_code == 400 and not store.enough(run_id)
+    says(client, run_id, asked(client, run_id), choice(True))
+    assert enough().status_code == 400 and not store.enough(run_id)
+    told = enough(judge="ada").json()["progress"]
+    assert (told["state"], told["open"], told["answers"]) == ("finishing", 0, 1) and store.enough(run_id)
+    told = client.get(f"/api/runs/{run_id}/next?judge=ada").json()
+    assert told["question"] is None and told["progress"]["state"] == "finishing"
+    store.finish(run_id, {}, b"")
+    assert enough(judge="bo").json()["progress"]["state"] == "finished"
+
+
+def test_all_answers_given_it_practises_for_the_last_time(client, store: Store):
+    run_id = a_taught_run(store, questions=30)
+    for k in range(1, 31):
+        assert client.get(f"/api/runs/{run_id}/next?judge=x").json()["progress"]["state"] == "waiting"
+        store.answer(run_id, k, choice(True), "ada")
+    assert client.get(f"/api/runs/{run_id}/next?judge=x").json()["progress"]["state"] == "finishing"
+
+
 def test_review_marks_where_the_reward_disagrees(client, store: Store, run_id: str):
     for _ in range(3):
         says(client, run_id, asked(client, run_id), choice(True))

@@ -131,6 +131,24 @@ def test_undo_and_reload_lose_nothing(served: Served):
     assert len(served.store.answers(served.run_id)) == 3
 
 
+def test_a_person_has_had_enough(served: Served):
+    page = served.tab("/teach")
+    served.shown(page)
+    assert not page.is_visible("#finish")  # nothing was learned yet
+    served.press(page, "1")
+    page.click("#finish")
+    page.click("#finish-no")
+    served.press(page, "1")
+    assert not served.store.enough(served.run_id)
+    page.click("#finish")
+    assert "2 answers" in page.inner_text("#finishing")
+    page.click("#finish-yes")
+    page.wait_for_selector("#teach[data-mode=waiting][data-state=finishing]")
+    assert served.store.enough(served.run_id) and not page.is_visible("#finish")
+    served.store.finish(served.run_id, {}, b"")
+    page.wait_for_selector("#teach[data-mode=finished]")
+
+
 def test_two_judges_answer_at_once(served: Served):
     ada, bo = served.tab("/teach", "ada"), served.tab("/teach", "bo")
     assert served.shown(ada) != served.shown(bo)

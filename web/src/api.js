@@ -87,6 +87,7 @@ export function api(run) {
     facts: () => get("facts"),
     answer: (body) => post("answers", body),
     goal: (goal) => post("goal", { goal }),
+    enough: (judge) => post("enough", { judge }),
     events: (each) => listen(`${base}/events`, each),
   };
 }

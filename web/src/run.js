@@ -94,7 +94,7 @@ export async function progress(run) {
     write(find("planned"), it.planned ? `of ${it.planned} answers` : "answers");
     write(find("sure"), foreseen(it));
     write(find("helping"), helping(it));
-    write(find("state"), { "warming up": "Trying out movements", waiting: "Waiting for your answers", learning: "Practising", finished: "Finished" }[it.state] ?? it.state);
+    write(find("state"), { "warming up": "Trying out movements", waiting: "Waiting for your answers", learning: "Practising", finishing: "Practising for the last time", finished: "Finished" }[it.state] ?? it.state);
     find("state").dataset.state = it.state;
     if (it.goal) write(find("goal"), it.goal);
   }

@@ -290,6 +290,7 @@ class Teaching {
     write(find("count"), planned ? `${answers} of ${planned} answers` : `${answers} answers`);
     write(find("sure"), foreseen(progress));
     write(find("worth"), helping(progress));
+    find("finish").hidden = !answers || ["finishing", "finished"].includes(progress.state);
     find("teach").dataset.state = progress.state;
     if (progress.episodes !== this.nowEpisode) this.#now();
   }
@@ -381,6 +382,25 @@ class Teaching {
     find("goal").classList.remove("unset");
   }
 
+  /** Asks whether that was all. */
+  #offer() {
+    const { answers } = this.state;
+    write(find("finish-count"), answers === 1 ? "one answer" : `${answers} answers`);
+    find("finishing").showModal();
+  }
+
+  async #finish() {
+    find("finishing").close();
+    try {
+      this.progress((await this.api.enough(judge())).progress);
+    } catch (error) {
+      this.trouble(error, () => this.#finish());
+      return;
+    }
+    this.question = null;
+    await this.next();
+  }
+
   #who() {
     write(find("who-name"), judge());
   }
@@ -439,6 +459,9 @@ class Teaching {
     on("edit", () => this.setup());
     on("who", () => this.setup());
     on("again-back", () => this.back());
+    on("finish", () => this.#offer());
+    find("finish-no").addEventListener("click", () => find("finishing").close());
+    find("finish-yes").addEventListener("click", () => this.#finish());
     find("setup-form").addEventListener("submit", (event) => this.#save(event));
     find("setup-close").addEventListener("click", () => find("setup").close());
     find("help-close").addEventListener("click", () => find("help").close());

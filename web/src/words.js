@@ -47,7 +47,8 @@ export function foreseen({ sure, answers }) {
 /** Whether it is worth going on. */
 export function helping({ worth, enough, state }) {
   if (state === "finished") return "It needs no more answers";
-  if (enough) return "More answers hardly help: you may stop";
+  if (state === "finishing") return "It asks no more";
+  if (enough) return "More answers hardly help: you may finish";
   if (worth === null || worth === undefined || worth > 0.05) return "More answers help a lot";
   return worth > 0.01 ? "More answers help a little" : "More answers hardly help";
 }
@@ -59,6 +60,8 @@ export function meanwhile({ state, answers }) {
       return ["Trying out movements", "It moves about at random first, so that there is something to compare."];
     case "learning":
       return ["Practising what you taught it…", "The next pair comes as soon as it has tried something new."];
+    case "finishing":
+      return ["Practising for the last time…", "It has all your answers. Once it gets no better any more, it is finished."];
     case "finished":
       return ["Finished", "It has learned from you. This is what it does now."];
     default:

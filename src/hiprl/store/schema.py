@@ -9,7 +9,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.engine import Dialect
 
-HEAD = "0003"
+HEAD = "0004"
 """Revision of the newest migration: what these tables are."""
 VERSION_TABLE = "hiprl_version"
 """Where a store keeps its revision. A database without it is not ours."""
@@ -113,6 +113,14 @@ goals = sa.Table(
     sa.Column("id", _Number, primary_key=True),  # the greatest is the newest, and the newest counts
     sa.Column("run_id", sa.ForeignKey("runs.id"), nullable=False, index=True),
     sa.Column("words", sa.Text, nullable=False),  # what a judge wants to be done
+    _created_at(),
+)
+
+enough = sa.Table(
+    "enough",
+    metadata,
+    _of_run(),
+    sa.Column("judge", sa.Text, nullable=False),  # who said that no more is to be asked
     _created_at(),
 )
 

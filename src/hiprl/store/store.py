@@ -28,7 +28,18 @@ from hiprl.store.once import (
     trajectory_columns,
 )
 from hiprl.store.rows import AnswerRow, ClipRow, Executed, Kind, QuestionRow, RunRow, TrajectoryRow
-from hiprl.store.schema import answers, checkpoints, episodes, finals, goals, questions, runs, scenes, trajectories
+from hiprl.store.schema import (
+    answers,
+    checkpoints,
+    enough,
+    episodes,
+    finals,
+    goals,
+    questions,
+    runs,
+    scenes,
+    trajectories,
+)
 from hiprl.store.turns import taken, untaken
 
 _LONGEST = 2**63 - 1  # of an integer in either database
@@ -223,6 +234,19 @@ class Store:
         query = sa.select(goals.c.words).where(goals.c.run_id == run_id).order_by(goals.c.id.desc()).limit(1)
         with self._database.reading() as connection:
             return connection.execute(query).scalar()
+
+    def say_enough(self, run_id: str, judge: str) -> None:
+        """Keep that this judge wants no more to be asked; the first one who said so stays."""
+        with self._database.writing() as connection:
+            lock_run(connection, run_id, self.name)
+            if connection.execute(sa.select(enough.c.run_id).where(enough.c.run_id == run_id)).first() is None:
+                row = {"run_id": run_id, "judge": judge, "created_at": datetime.now(UTC)}
+                connection.execute(sa.insert(enough).values(row))
+
+    def enough(self, run_id: str) -> bool:
+        """Whether a judge said that no more is to be asked."""
+        with self._database.reading() as connection:
+            return connection.execute(sa.select(enough.c.judge).where(enough.c.run_id == run_id)).first() is not None
 
     # Questions and answers
 

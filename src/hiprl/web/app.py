@@ -94,7 +94,8 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
 
     def next_question(request: Request) -> Any:
         run_id = run_of(request)
-        row = store.claim(run_id, name_of(request.query_params.get("judge", "")))
+        judge = name_of(request.query_params.get("judge", ""))
+        row = None if store.enough(run_id) else store.claim(run_id, judge)
         return {"question": None if row is None else shown.question(row), "progress": shown.lately(run_id, seconds=0.0)}
 
     def last_question(request: Request) -> Any:
@@ -129,6 +130,13 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
             raise HTTPException(400, f"Say what is wanted in 1 to {LONGEST_GOAL} letters.")
         store.set_goal(run_id, words)
         return {"goal": words}
+
+    def enough(request: Request, body: dict[str, Any]) -> Any:
+        run_id, judge = run_of(request), name_of(body.get("judge", ""))
+        if not store.answers(run_id):
+            raise HTTPException(400, "Nothing was answered yet, so that there is nothing to learn from. Answer first.")
+        store.say_enough(run_id, judge)
+        return {"progress": shown.lately(run_id, seconds=0.0)}
 
     def facts(request: Request) -> Any:
         run_id = run_of(request)
@@ -203,6 +211,7 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
         Route(f"{api}/questions/{{k:int}}", guarded(one_question)),
         Route(f"{api}/facts", guarded(facts)),
         Route(f"{api}/goal", guarded(goal), methods=["POST"]),
+        Route(f"{api}/enough", guarded(enough), methods=["POST"]),
         Route(f"{api}/events", events),
         Mount("/static", StaticFiles(directory=HERE / "static")),
     ]

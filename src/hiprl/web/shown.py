@@ -77,11 +77,13 @@ class Shown:
         done = self.store.final(run_id) is not None
         searched = any(one.get("searched") for one in facts)
         waiting = asked - answers
-        state = "finished" if done else "waiting" if waiting else "learning" if searched or answers else "warming up"
+        ending = self.store.enough(run_id) or answers >= planned > 0
+        trying = "learning" if searched or answers else "warming up"
+        state = "finished" if done else "finishing" if ending else "waiting" if waiting else trying
         return {
             "answers": answers,
             "planned": planned,
-            "open": waiting,
+            "open": 0 if ending else waiting,
             "episodes": len(facts),
             "sure": sum(foreseen) / len(foreseen) if foreseen else None,
             "worth": worth[-1] if worth else None,
