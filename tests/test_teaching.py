@@ -20,9 +20,9 @@ from hiprl.data.answer import choice, level
 from hiprl.errors import InputError
 from hiprl.models.estimate import estimate_reward
 from hiprl.report.evidence import evidence_of, opinions
-from hiprl.session import RunSpec, spec_of, start
+from hiprl.session import RunSpec, latest, spec_of, start
 from hiprl.store.store import Store, open_store
-from hiprl.teaching import AGAIN, FIRST, OPEN, SEEN, Asking, Known, improved, latest, taught
+from hiprl.teaching import AGAIN, FIRST, OPEN, SEEN, Asking, Known, improved, taught
 from hiprl.world.build import world_from
 from tests.whole.tasks import TINY
 

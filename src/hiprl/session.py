@@ -165,13 +165,17 @@ def refuse_finished(store: Store, run_id: str) -> None:
 
 def latest(store: Store, run_id: str, world: World, spec: RunSpec) -> Run:
     """The run as its last finished episode left it; a new one has executed τ_0."""
-    key = jr.key(spec.seed)
     saved = store.checkpoint(run_id)
     if saved is not None:
         return unpack(saved[1], shape_of_run(world, spec.config))
-    run = begin(world, spec.config, key=key)
-    store.add_trajectory(run_id, 0, run.T.get(0), "random")
+    run = begin(world, spec.config, key=jr.key(spec.seed))
+    store.add_trajectory(run_id, 0, run.T.get(0), "random", film=film_of(world))
     return run
+
+
+def film_of(world: World) -> bytes | None:
+    """What there is to be seen of the newest episode; None where nobody films."""
+    return None if world.film is None else world.film.to_bytes()
 
 
 def shape_of_run(world: World, config: Config) -> Run:

@@ -21,7 +21,7 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Float
 
-from hiprl.algorithm import BEGINNING, Run, attempt, begin, lived, scored
+from hiprl.algorithm import BEGINNING, Run, attempt, lived, scored
 from hiprl.config import Config
 from hiprl.data.preference import Clip, Preferences
 from hiprl.data.trajectory_set import Trajectories
@@ -32,20 +32,20 @@ from hiprl.models.reward import AdditiveReward, EstimatedReward
 from hiprl.report.evidence import given_in, names_of, opinions, shares
 from hiprl.session import (
     Facts,
-    RunSpec,
     Watch,
     clip_row,
     conclude,
     facts_of_attempt,
+    film_of,
     finite_or_none,
     foreseen,
+    latest,
     refuse_finished,
     row_of,
-    shape_of_run,
     spec_of,
     worth_of,
 )
-from hiprl.store.arrays import pack, unpack
+from hiprl.store.arrays import pack
 from hiprl.store.rows import ClipRow, QuestionRow, RunRow
 from hiprl.store.store import Store
 from hiprl.types import Key
@@ -285,16 +285,6 @@ def taught(
         return conclude(store, run_id, known.run, world, spec, key=key)
 
 
-def latest(store: Store, run_id: str, world: World, spec: RunSpec) -> Run:
-    """The run as its last finished episode left it; a new one has executed τ_0."""
-    saved = store.checkpoint(run_id)
-    if saved is not None:
-        return unpack(saved[1], shape_of_run(world, spec.config))
-    run = begin(world, spec.config, key=jr.key(spec.seed))
-    store.add_trajectory(run_id, 0, run.T.get(0), "random", film=film_of(world))
-    return run
-
-
 def practised(
     store: Store,
     run_id: str,
@@ -339,11 +329,6 @@ def improved(returns: np.ndarray, tried: np.ndarray) -> bool:
     *earlier, newest = returns
     before = np.array(earlier)[tried[: len(earlier)]]
     return not len(before) or bool(newest - before.max() > LITTLE * (before.max() - np.mean(earlier)))
-
-
-def film_of(world: World) -> bytes | None:
-    """What there is to be seen of the newest episode."""
-    return None if world.film is None else world.film.to_bytes()
 
 
 def states_only(world: World) -> dict[str, Any]:
