@@ -93,6 +93,17 @@ def test_defaults_in_the_help_are_those_of_the_presets(capsys: pytest.CaptureFix
     assert f"(default: {default.comparisons})" in shown
 
 
+@pytest.mark.parametrize("flag", ["optimism", "search", "plan", "ask"])
+@pytest.mark.parametrize("word", ["hope", "None"])
+def test_a_word_that_is_no_choice_is_told_those_that_are(flag: str, word: str, capsys: pytest.CaptureFixture[str]):
+    words = get_args(getattr(commands, flag.title()))
+    assert main(["train", "Hopper-v5", f"--{flag}", word]) == WRONG_INPUT
+    said = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert f"got '{word}'; it is one of {', '.join(words)}. Choose one of these." in said
+    for right in words:
+        assert getattr(read(["train", "Hopper-v5", f"--{flag}", right]), flag) == right
+
+
 def test_a_flag_that_is_left_out_has_its_default() -> None:
     assert read(["train", "Hopper-v5"]) == commands.Train(env="Hopper-v5")
     assert read(["show"]) == commands.Show()

@@ -6,9 +6,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 from tyro.conf import Positional, UseAppendAction, arg, subcommand
+from tyro.constructors import PrimitiveConstructorSpec
 
 Facts: TypeAlias = dict[str, Any]
 
@@ -39,6 +40,24 @@ Rule: TypeAlias = Annotated[
 ]
 
 
+def one_of(names: Any) -> PrimitiveConstructorSpec[Any]:
+    """How a flag is read that is one of these words, or None where it is not given: nobody is to type that."""
+    words = get_args(names)
+
+    def read(given: list[str]) -> str:
+        if given[0] not in words:
+            raise ValueError(f"got {given[0]!r}; it is one of {', '.join(words)}. Choose one of these.")
+        return given[0]
+
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=f"{{{','.join(words)}}}",
+        instance_from_str=read,
+        is_instance=lambda instance: instance is None or instance in words,
+        str_from_instance=lambda instance: [str(instance)],
+    )
+
+
 def by_preset(default: str, paper: str) -> Any:
     """How a flag is shown whose default depends on the preset."""
     return arg(help_behavior_hint=f"(default: {default}; with preset paper: {paper})")
@@ -67,7 +86,9 @@ class Train:
     ] = None
     """Steps of the clips that are compared; 0 for whole trajectories."""
     ask: Annotated[
-        Ask | None, arg(help_behavior_hint="(default: uniform for exact and noisy, information for the others)")
+        Ask | None,
+        one_of(Ask),
+        arg(help_behavior_hint="(default: uniform for exact and noisy, information for the others)"),
     ] = None
     """How clips are picked: the newest trajectory and any older ones, or what is expected to tell most."""
     comparisons: Annotated[int, arg(metavar="K")] = 30
@@ -78,16 +99,16 @@ class Train:
     """Decides all draws; whole number."""
     preset: Preset = "default"
     """Settings to start from: the best that we know, or those of the paper."""
-    optimism: Annotated[Optimism | None, by_preset("thompson", "eta_policy")] = None
+    optimism: Annotated[Optimism | None, one_of(Optimism), by_preset("thompson", "eta_policy")] = None
     """How a search may use what the dynamics model does not know:
     greedy: not at all (the mean of the ensemble);
     thompson: each imagined rollout lives in one member of it;
     eta_policy: the policy picks where in the uncertainty to land (the paper);
     eta_sign: the gradient of the value picks that;
     bonus: uncertainty is rewarded."""
-    search: Annotated[Search | None, by_preset("gradient", "ppo")] = None
+    search: Annotated[Search | None, one_of(Search), by_preset("gradient", "ppo")] = None
     """How a policy is searched in the model: by gradients through it, or by PPO in it (the paper)."""
-    plan: Annotated[Plan | None, by_preset("none", "sample")] = None
+    plan: Annotated[Plan | None, one_of(Plan), by_preset("none", "sample")] = None
     """How the policy is executed: as it is (none), drawn from (sample), or improved at each step by planning ahead in
     the model (mpc). While it learns, some noise is added, but not with preset paper."""
     horizon: Annotated[int | None, arg(metavar="H", help_behavior_hint="(default: the environment's own limit)")] = None
