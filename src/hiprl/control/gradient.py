@@ -1,7 +1,8 @@
 """Policy search by back-propagation through the model: short imagined rollouts, ended by a learned value.
 
-One update imagines a batch of rollouts of a few steps from states that were seen, in the hallucinated model, and
-moves the policy up the gradient of its TD(λ) return; the value follows by regression to the returns of all steps.
+One update imagines a batch of rollouts of a few steps in the hallucinated model, and moves the policy up the gradient
+of its TD(λ) return; the value follows by regression to the returns of all steps. Rollouts begin at states that were
+seen, or go on where others ended: the value must hold where the policy goes, too, or the policy climbs its errors.
 Updates come in chunks. After each chunk the policy is tried for longer in every member of the belief, from where
 episodes begin, and the iterate whose worst member is best is the one that is kept.
 Source: value gradients through a model (SVG, Heess et al. 2015; Dreamer, Hafner et al. 2020), eq. (6) of HIP-RL.
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -50,8 +52,8 @@ class GradientConfig:
     """Learning rate of the value (Adam)."""
     value_updates: int = 4
     """Updates of the value for each of the policy."""
-    settling: int = 200
-    """Updates of the value alone before the policy moves: it is that of an older model and an older r̂."""
+    settling: int = 300
+    """Updates of the value alone before the policy moves. It is learned anew in each search: model and r̂ are newer."""
     offset_rate: float = 0.1
     """Share of what the value is off by in all states alike that is mended with each update."""
     gamma: float | None = None
@@ -64,8 +66,10 @@ class GradientConfig:
     """Share by which the target value moves to the value, each update."""
     max_gradient: float = 1e-3
     """Norm to which the gradient of the return, in units of a typical one, is cut."""
+    going_on: float = 0.5
+    """Share of imagined rollouts that go on where one of the update before ended, unless the episode did."""
     from_start: float = 0.1
-    """Share of imagined rollouts that begin where episodes begin, not at any seen state."""
+    """Share of the others that begin where episodes begin, not at any seen state."""
     trial_steps: int = 1000
     """Length of the longer trial after each chunk."""
     trial_starts: int = 8
@@ -90,6 +94,21 @@ def new_gradient(inputs: Scaler, size: int, config: GradientConfig, *, key: Key)
     )
 
 
+class Learner(NamedTuple):
+    """What an update changes."""
+
+    policy: SquashedPolicy
+    value: Value
+    target: Value
+    """Follows the value."""
+    policy_state: optax.OptState
+    value_state: optax.OptState
+    s: Float[Array, "M n p"]
+    """Where the last rollouts ended."""
+    alive: Float[Array, "M n"]
+    """1 where the episode goes on there."""
+
+
 def gradient_search(
     f_tilde: Hallucinated,
     reward: Reward,
@@ -103,7 +122,7 @@ def gradient_search(
     setbacks: Count,
     key: Key,
 ) -> tuple[SearchState, SearchReport]:
-    """The policy, and its η, that is best in the hallucinated model, eq. (6); starts from `state`.
+    """The policy, and its η, that is best in the hallucinated model, eq. (6).
 
     Args:
         f_tilde: the hallucinated model.
@@ -111,20 +130,23 @@ def gradient_search(
         unit: size of a typical reward, so that no setting depends on the judge's unit.
         ends: when an imagined episode terminates; None for never.
         starts: where rollouts begin.
-        state: policy and value of the search before.
+        state: the policy to start from.
         H: most steps in an episode; a trial lasts no longer.
         setbacks: searches from `state` that went wrong in the world; after any, this one is half as long.
     """
     gamma = config.discount(H)
     scale = unit / (1 - gamma)
-    policy, value = state.policy.rescaled(starts.scaler), state.value.rescaled(starts.scaler, scale)
+    policy = cast("SquashedPolicy", state.policy).rescaled(starts.scaler)
+    settle_key, trial_key, value_key, key = jr.split(key, 4)
+    layers = {"hidden": config.layers(starts.scaler.size), "activation": config.activation}
+    value = Value.draw(starts.scaler, **layers, key=value_key).rescaled(starts.scaler, scale)
     worlds, axis = f_tilde.worlds()
     M = stacked_size(f_tilde.dynamics.members())
     policy_opt = optax.chain(optax.clip_by_global_norm(config.max_gradient), optax.adam(config.policy_rate))
     value_opt = optax.adam(config.value_rate)
 
     def imagine(world: Hallucinated, policy: SquashedPolicy, target: Value, s_0: State, draws: tuple[Array, Array]):
-        """States, TD(λ) returns, how much of each is V, and weights along one rollout.
+        """States, TD(λ) returns, how much of each is V, and weights along one rollout; where it ended, alive or not.
 
         The returns carry the policy's gradient.
         """
@@ -148,24 +170,28 @@ def gradient_search(
             return both, both
 
         _, (returns, of_value) = jax.lax.scan(backward, (v_next[-1], jnp.ones(())), (r, on, v_next), reverse=True)
-        return jax.lax.stop_gradient(s), returns, of_value, alive
+        end = jax.lax.stop_gradient((s_next[-1], alive[-1] * on[-1]))
+        return jax.lax.stop_gradient(s), returns, of_value, alive, end
 
     over_rollouts = jax.vmap(imagine, in_axes=(None, None, None, 0, 0))
     over_worlds = jax.vmap(over_rollouts, in_axes=(axis, None, None, 0, 0))
 
-    def draw_starts(key: Key) -> Float[Array, "M n p"]:
-        seen_key, first_key, which_key = jr.split(key, 3)
-        shape = (M, config.rollouts)
+    shape = M, config.rollouts
+
+    def draw_starts(learner: Learner, key: Key) -> Float[Array, "M n p"]:
+        seen_key, first_key, which_key, on_key = jr.split(key, 4)
         seen = jr.choice(seen_key, starts.seen, shape)
         first = jr.choice(first_key, starts.first, shape)
-        return jnp.where(jr.bernoulli(which_key, config.from_start, (*shape, 1)), first, seen)
+        new = jnp.where(jr.bernoulli(which_key, config.from_start, (*shape, 1)), first, seen)
+        on = jr.bernoulli(on_key, config.going_on, shape) & (learner.alive > 0)
+        return jnp.where(on[..., None], learner.s, new)
 
-    def update(carry, update_key: Key, *, moving: bool):
-        policy, value, target, policy_state, value_state = carry
+    def update(learner: Learner, update_key: Key, *, moving: bool):
+        policy, value, target, policy_state, value_state, *_ = learner
         start_key, act_key, f_key = jr.split(update_key, 3)
-        s_0 = draw_starts(start_key)
-        shape = (M, config.rollouts, config.steps)
-        draws = jr.normal(act_key, (*shape, policy.size)), jr.normal(f_key, (*shape, s_0.shape[-1]))
+        s_0 = draw_starts(learner, start_key)
+        steps = (*shape, config.steps)
+        draws = jr.normal(act_key, (*steps, policy.size)), jr.normal(f_key, (*steps, s_0.shape[-1]))
 
         # Of the first state alone: the later ones are the policy's own doing. The sum over all of them, as Dreamer has
         # it, pays for reaching good states once for each step before, and makes actions up to twice too strong.
@@ -179,7 +205,7 @@ def gradient_search(
         else:
             seen = over_worlds(worlds, policy, target, s_0, draws)
 
-        s, returns, of_value, weight = seen
+        s, returns, of_value, weight, end = seen
         flat_s, goal, weight = s.reshape(-1, s.shape[-1]), returns.reshape(-1) / scale, weight.reshape(-1)
         goal = jax.lax.stop_gradient(goal)
 
@@ -203,7 +229,7 @@ def gradient_search(
         error = jnp.sum(weight * (goal - jax.vmap(target)(flat_s) / scale))
         off = error / jnp.maximum(jnp.sum(weight * (1 - of_value.reshape(-1))), 1e-6 * weight.shape[0])
         value, target = (V.raised(config.offset_rate * off) for V in (value, target))
-        return (policy, value, target, policy_state, value_state), None
+        return Learner(policy, value, target, policy_state, value_state, *end), None
 
     everywhere = f_tilde.in_each_member()
 
@@ -211,15 +237,14 @@ def gradient_search(
         learner, best, best_report, key = carry
         key, update_key = jr.split(key)
         learner, _ = jax.lax.scan(partial(update, moving=True), learner, jr.split(update_key, config.updates))
-        policy, value = learner[:2]
-        report = report_of(trials(everywhere, policy, reward, ends, chance))
+        report = report_of(trials(everywhere, learner.policy, reward, ends, chance))
         better = report.finite & ~(report.worst <= best_report.worst)
         keep = lambda new, old: jnp.where(better, new, old)
-        best = jax.tree.map(keep, SearchState(policy, value), best)
+        best = jax.tree.map(keep, SearchState(learner.policy, learner.value), best)
         return learner, best, jax.tree.map(keep, report, best_report), key
 
-    learner = (policy, value, value, descent(policy_opt, policy), descent(value_opt, value))
-    settle_key, trial_key, key = jr.split(key, 3)
+    nowhere = jnp.zeros((*shape, starts.seen.shape[1])), jnp.zeros(shape)
+    learner = Learner(policy, value, value, descent(policy_opt, policy), descent(value_opt, value), *nowhere)
     length = min(config.trial_steps, H)
     chance = Chance.draw(starts.first, M=M, n=config.trial_starts, steps=length, key=trial_key)
     learner, _ = jax.lax.scan(partial(update, moving=False), learner, jr.split(settle_key, config.settling))
