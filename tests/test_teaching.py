@@ -287,6 +287,27 @@ def test_it_ends_when_a_judge_has_had_enough(tmp_path):
         assert any(facts["searched"] for _, facts in store.episodes(run_id))
 
 
+def test_the_last_answer_before_enough_is_learned_from(tmp_path):
+    path, waits = str(tmp_path / "runs.db"), []
+    run_id = begun(path)
+
+    def answer(what):
+        waits.append(what)
+        with open_store(path) as store:
+            for _ in range({"": 0, "the first answers": FIRST, "an answer": 1}[what]):
+                while (question := store.claim(run_id, "ada")) is None:
+                    time.sleep(0.02)
+                store.answer(run_id, question.k, level(2, 5), "ada")
+            if what == "an answer":
+                store.say_enough(run_id, "ada")
+
+    summary = teach(path, run_id, wait=answer)
+    assert "an answer" in waits and summary["comparisons"] == FIRST + 1
+    with open_store(path) as store:
+        facts = [facts["comparisons"] for _, facts in store.episodes(run_id)]
+    assert facts[-1] == FIRST + 1  # and practised what it says
+
+
 def test_after_a_resume_old_answers_are_not_told_as_foreseen(tmp_path):
     path = str(tmp_path / "runs.db")
     run_id = begun(path)

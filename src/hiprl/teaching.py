@@ -158,6 +158,10 @@ class Asking:
             asked += 1
             before.add(new)
 
+    def behind(self) -> bool:
+        """Whether r̂ has not heard all answers yet."""
+        return self.store.asked(self.row.id)[1] > len(self._seen or {})
+
     def most(self) -> int:
         """How many questions may be asked by now: the last are about what it tried because of the first."""
         K, tried = self.config.comparisons, int(np.sum(self.known.run.archive.filled))
@@ -267,11 +271,12 @@ def taught(
                 to_come = 0 if store.enough(run_id) else max(0, config.comparisons - heard)
                 lived_so_far = int(known.run.T.count)
                 room = lived_so_far < max(config.warm_up, known.run.T.capacity - to_come)  # an episode an answer
-                if not to_come and (idle >= PRACTICE or not room):
+                resting = idle >= PRACTICE or not room
+                if not to_come and resting and not asking.behind():
                     break
                 warm = lived_so_far >= config.warm_up
                 few = warm and to_come > 0 and heard < FIRST
-                pauses = few or idle >= PRACTICE or not room
+                pauses = few or resting
                 asking.trainer_waits = pauses and not few
                 before, waits = waits, "" if not pauses else "the first answers" if few else "an answer"
                 if waits != before:
