@@ -88,10 +88,15 @@ class GradientConfig:
 def new_gradient(inputs: Scaler, size: int, config: GradientConfig, *, key: Key) -> SearchState:
     """A policy that does next to nothing, and a value that knows nothing."""
     policy_key, value_key = jr.split(key)
-    hidden = {"hidden": config.layers(inputs.size), "activation": config.activation}
+    layers = {"hidden": config.layers(inputs.size), "activation": config.activation}
     return SearchState(
-        SquashedPolicy.draw(inputs, size, **hidden, key=policy_key), Value.draw(inputs, **hidden, key=value_key)
+        SquashedPolicy.draw(inputs, size, **layers, key=policy_key), new_value(inputs, config, key=value_key)
     )
+
+
+def new_value(inputs: Scaler, config: GradientConfig, *, key: Key) -> Value:
+    """One that knows nothing."""
+    return Value.draw(inputs, hidden=config.layers(inputs.size), activation=config.activation, key=key)
 
 
 class Learner(NamedTuple):
@@ -138,8 +143,7 @@ def gradient_search(
     scale = unit / (1 - gamma)
     policy = cast("SquashedPolicy", state.policy).rescaled(starts.scaler)
     settle_key, trial_key, value_key, key = jr.split(key, 4)
-    layers = {"hidden": config.layers(starts.scaler.size), "activation": config.activation}
-    value = Value.draw(starts.scaler, **layers, key=value_key).rescaled(starts.scaler, scale)
+    value = new_value(starts.scaler, config, key=value_key).rescaled(starts.scaler, scale)
     worlds, axis = f_tilde.worlds()
     M = stacked_size(f_tilde.dynamics.members())
     policy_opt = optax.chain(optax.clip_by_global_norm(config.max_gradient), optax.adam(config.policy_rate))
