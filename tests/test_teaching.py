@@ -287,9 +287,15 @@ def test_it_ends_when_a_judge_has_had_enough(tmp_path):
         assert any(facts["searched"] for _, facts in store.episodes(run_id))
 
 
-def test_the_last_answer_before_enough_is_learned_from(tmp_path):
+def test_the_last_answer_before_enough_is_learned_from(tmp_path, monkeypatch):
     path, waits = str(tmp_path / "runs.db"), []
     run_id = begun(path)
+
+    def slowly(*args):
+        time.sleep(5 * teaching.LOOK)
+        return estimate_reward(*args)
+
+    monkeypatch.setattr(teaching, "estimate_reward", slowly)
 
     def answer(what):
         waits.append(what)
