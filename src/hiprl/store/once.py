@@ -36,6 +36,12 @@ def refuse_run(connection: sa.Connection, run_id: str, name: str) -> NoReturn:
     )
 
 
+def add_first(connection: sa.Connection, table: sa.Table, run_id: str, **values: Any) -> None:
+    """A row of a run in a table that holds one for each; the first one stays."""
+    if connection.execute(sa.select(table.c.run_id).where(table.c.run_id == run_id)).first() is None:
+        connection.execute(sa.insert(table).values(run_id=run_id, **values))
+
+
 def add_trajectory(connection: sa.Connection, run_id: str, row: TrajectoryRow, film: bytes | None = None) -> None:
     """A trajectory under its number."""
     mine = (trajectories.c.run_id == run_id) & (trajectories.c.number == row.number)

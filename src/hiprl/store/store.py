@@ -21,6 +21,7 @@ from hiprl.store.once import (
     add_answer,
     add_episode,
     add_final,
+    add_first,
     add_question,
     add_trajectory,
     lock_run,
@@ -40,7 +41,7 @@ from hiprl.store.schema import (
     scenes,
     trajectories,
 )
-from hiprl.store.turns import taken, untaken
+from hiprl.store.turns import all_asked, counted, taken, untaken
 
 _LONGEST = 2**63 - 1  # of an integer in either database
 
@@ -215,8 +216,7 @@ class Store:
         """Keep what the films of a run play in; the first one stays."""
         with self._database.writing() as connection:
             lock_run(connection, run_id, self.name)
-            if connection.execute(sa.select(scenes.c.run_id).where(scenes.c.run_id == run_id)).first() is None:
-                connection.execute(sa.insert(scenes).values(run_id=run_id, scene=dict(scene)))
+            add_first(connection, scenes, run_id, scene=dict(scene))
 
     def scene(self, run_id: str) -> dict[str, Any] | None:
         """What the films of a run play in; None if it has none."""
@@ -239,9 +239,7 @@ class Store:
         """Keep that this judge wants no more to be asked; the first one who said so stays."""
         with self._database.writing() as connection:
             lock_run(connection, run_id, self.name)
-            if connection.execute(sa.select(enough.c.run_id).where(enough.c.run_id == run_id)).first() is None:
-                row = {"run_id": run_id, "judge": judge, "created_at": datetime.now(UTC)}
-                connection.execute(sa.insert(enough).values(row))
+            add_first(connection, enough, run_id, judge=judge, created_at=datetime.now(UTC))
 
     def enough(self, run_id: str) -> bool:
         """Whether a judge said that no more is to be asked."""
@@ -270,32 +268,13 @@ class Store:
 
     def questions(self, run_id: str | None = None, *, unanswered: bool = False) -> list[QuestionRow]:
         """The questions of a run, or of all runs, oldest first; on request the open ones only."""
-        newest = (
-            sa.select(sa.func.max(answers.c.id))
-            .where(answers.c.question_id == questions.c.id)
-            .correlate(questions)
-            .scalar_subquery()
-        )
-        query = (
-            sa.select(questions, answers.c.said)
-            .select_from(questions.outerjoin(answers, answers.c.id == newest))
-            .order_by(questions.c.id)
-        )
-        if run_id is not None:
-            query = query.where(questions.c.run_id == run_id)
-        if unanswered:
-            query = query.where(answers.c.id.is_(None))
         with self._database.reading() as connection:
-            return [QuestionRow.read(row) for row in connection.execute(query)]
+            return all_asked(connection, run_id, unanswered=unanswered)
 
     def asked(self, run_id: str) -> tuple[int, int]:
         """How many questions a run has, and how many of them are answered: counted, not read."""
-        of_run = questions.c.run_id == run_id
-        total = sa.select(sa.func.count()).select_from(questions).where(of_run)
-        answered = sa.select(sa.func.count(answers.c.question_id.distinct()))
-        answered = answered.select_from(answers.join(questions)).where(of_run)
         with self._database.reading() as connection:
-            return connection.execute(total).scalar_one(), connection.execute(answered).scalar_one()
+            return counted(connection, run_id)
 
     def claim(self, run_id: str, judge: str, *, seconds: float = 60.0) -> QuestionRow | None:
         """The oldest open question of a run that nobody else is looking at; it is this judge's for a while.

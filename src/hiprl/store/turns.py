@@ -1,4 +1,4 @@
-"""Whose turn a question is: no two judges look at the same one at the same time."""
+"""Which questions there are, and whose turn one is: no two judges look at the same one at the same time."""
 
 from __future__ import annotations
 
@@ -8,6 +8,28 @@ import sqlalchemy as sa
 
 from hiprl.store.rows import QuestionRow
 from hiprl.store.schema import answers, claims, questions
+
+
+def all_asked(connection: sa.Connection, run_id: str | None, *, unanswered: bool) -> list[QuestionRow]:
+    """The questions of a run, or of all runs, oldest first, with their newest answers; on request open ones only."""
+    newest = sa.select(sa.func.max(answers.c.id)).where(answers.c.question_id == questions.c.id)
+    newest = newest.correlate(questions).scalar_subquery()
+    query = sa.select(questions, answers.c.said).order_by(questions.c.id)
+    query = query.select_from(questions.outerjoin(answers, answers.c.id == newest))
+    if run_id is not None:
+        query = query.where(questions.c.run_id == run_id)
+    if unanswered:
+        query = query.where(answers.c.id.is_(None))
+    return [QuestionRow.read(row) for row in connection.execute(query)]
+
+
+def counted(connection: sa.Connection, run_id: str) -> tuple[int, int]:
+    """How many questions a run has, and how many of them are answered."""
+    of_run = questions.c.run_id == run_id
+    total = sa.select(sa.func.count()).select_from(questions).where(of_run)
+    answered = sa.select(sa.func.count(answers.c.question_id.distinct()))
+    answered = answered.select_from(answers.join(questions)).where(of_run)
+    return connection.execute(total).scalar_one(), connection.execute(answered).scalar_one()
 
 
 def taken(connection: sa.Connection, run_id: str, judge: str, *, seconds: float) -> QuestionRow | None:
