@@ -101,7 +101,7 @@ def reward_sum(reward: Any, T: Any, i: Any, t: Any) -> Any:
     import jax.numpy as jnp
 
     from hiprl.data.preference import Clip
-    from hiprl.models.reward import clip_sums
+    from hiprl.models.evidence import clip_sums
 
     clips = Clip(jnp.asarray(i), jnp.asarray(t), jnp.full(len(i), CLIP))
     return jax.jit(clip_sums, static_argnames="steps")(reward.features, T, clips, steps=CLIP)

@@ -39,7 +39,7 @@ def reward(T):
 
 @pytest.fixture(scope="module")
 def blank(T):
-    return estimate_additive_reward(Preferences.empty(13), T, AdditiveConfig(), steps=16)
+    return estimate_additive_reward(Preferences.empty(13), T, AdditiveConfig())
 
 
 def made_of(clips):

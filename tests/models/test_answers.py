@@ -106,7 +106,7 @@ def test_the_reward_is_learned_from_answers_of_all_forms_together(T, estimated):
 def test_numbers_alone_give_what_the_closed_form_gives(T, estimated):
     P = answered(T, ["number"])
     reward = estimated(P, T)
-    exact = estimate_additive_reward(P, T, AdditiveConfig(smooth=(0.01,), noise=(1e-4,)), steps=16)
+    exact = estimate_additive_reward(P, T, AdditiveConfig(smooth=(0.01,), noise=(1e-4,)))
     pair = T.clip(Clip.at(3, 2, STEPS)), T.clip(Clip.at(7, 9, STEPS))
     one, other = reward.gap(*pair), exact.gap(*pair)
     assert float(one.mean) == pytest.approx(float(other.mean), rel=0.02, abs=0.02)
@@ -178,7 +178,7 @@ def test_past_the_last_candidate_the_scale_is_the_last():
 
 
 def test_an_unsure_unit_makes_great_gaps_unsure(T):
-    sure = estimate_additive_reward(answered(T, ["number"]), T, AdditiveConfig(), steps=16)
+    sure = estimate_additive_reward(answered(T, ["number"]), T, AdditiveConfig())
     unsure = eqx.tree_at(lambda r: r.errors.spread, sure, jnp.asarray(0.3))
     pair = T.clip(Clip.at(3, 2, STEPS)), T.clip(Clip.at(7, 9, STEPS))
     one, other = sure.gap(*pair), unsure.gap(*pair)

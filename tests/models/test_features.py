@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 
+from hiprl.models.evidence import features_of
 from hiprl.models.features import INSIDE, REACH, WAVES, Kernel, spectrum, waves
-from hiprl.models.reward import features_of
+from hiprl.models.sums import steps_of
 from tests.data.samples import clean, p, q, seeds, set_of, trajectory
 
 
@@ -17,7 +18,7 @@ def T():
 
 @pytest.fixture(scope="module")
 def features(T):
-    return jax.jit(features_of)(T)
+    return features_of(steps_of(T))
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +69,7 @@ def test_the_short_way_to_a_reward_is_the_long_way(features, phi, seed):
 
 
 def test_padding_changes_no_feature(T, features):
-    for x, y in zip(jax.tree.leaves(features), jax.tree.leaves(jax.jit(features_of)(clean(T))), strict=True):
+    for x, y in zip(jax.tree.leaves(features), jax.tree.leaves(features_of(steps_of(clean(T)))), strict=True):
         assert np.isfinite(x).all()
         np.testing.assert_array_equal(x, y)
 

@@ -29,7 +29,7 @@ def test_the_newest_answer_is_read_in_the_unit_of_those_it_is_predicted_from():
 @pytest.mark.slow
 def test_ratings_are_predicted_too():
     T = linear_set(21, [STEPS_OF_T] * 12, H=STEPS_OF_T, capacity=17)
-    reward = estimate_additive_reward(answered(T, ["number"], m=2), T, AdditiveConfig(smooth=(0.01,)), steps=16)
+    reward = estimate_additive_reward(answered(T, ["number"], m=2), T, AdditiveConfig(smooth=(0.01,)))
     held = predicted(answered(T, ["rating"], n=20, seed=7, m=2), T, reward, newest=19)
     right = np.asarray(held.right)
     assert np.isfinite(right).sum() >= 8

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from hiprl.data.preference import WHOLE, Clip
-from hiprl.models.reward import clip_sums, features_of, summed
-from hiprl.models.sums import every_step, values
+from hiprl.models.evidence import clip_sums, features_of
+from hiprl.models.reward import summed
+from hiprl.models.sums import columns, steps_of, values
 from tests.models.worlds import linear_set
 
 H, LENGTHS = 23, [23, 19, 23, 7, 23]
@@ -18,12 +19,12 @@ def T():
 
 @pytest.fixture(scope="module")
 def features(T):
-    return jax.jit(features_of)(T)
+    return features_of(steps_of(T))
 
 
 def test_many_steps_are_worth_what_each_is(T, features):
     weights = jnp.asarray(np.random.default_rng(1).normal(size=features.size), jnp.float32)
-    found = jax.jit(values)(features, every_step(features, T), weights).reshape(T.capacity, H)
+    found = jax.jit(values)(features, columns(features, steps_of(T).x), weights).reshape(T.capacity, H)
     for i, length in enumerate(LENGTHS):
         for t in range(0, length, 5):
             one = features.dot(T.rows.states[i, t], T.rows.actions[i, t], weights)

@@ -10,7 +10,7 @@ from scipy import stats
 from hiprl.data.answer import choice, level, ranking
 from hiprl.data.preference import Kind, Said
 from hiprl.models.likelihood import Noise, for_each, log_likelihood
-from hiprl.models.variational import Answers, evidence_of, improved, left_out, one_value, posterior_of, thin, unknown
+from hiprl.models.variational import Answers, improved, left_out, one_value, posterior_of, thin, unknown
 
 D, ROWS, KAPPA = 3, 11, 0.4
 
@@ -166,7 +166,7 @@ def test_the_evidence_of_numbers_is_their_density():
     g_32 = jnp.asarray(g, jnp.float32)
     told = Said(jnp.full(ROWS, int(Kind.NUMBER)), g_32, g_32, jnp.full(ROWS, 2))
     A, given = jnp.asarray(Psi, jnp.float32), Answers(told, jnp.ones(ROWS, bool), noise())
-    found = jax.jit(lambda A: evidence_of(A, given, improved(A, given, unknown(A, ROWS), steps=30)))(A)
+    found = jax.jit(lambda A: improved(A, given, unknown(A, ROWS), steps=30).evidence)(A)
     density = stats.multivariate_normal(np.zeros(ROWS), Psi @ Psi.T + 1e-2 * np.eye(ROWS)).logpdf(g)
     assert float(found) == pytest.approx(density, rel=2e-3)
 
@@ -193,7 +193,7 @@ def test_a_step_that_makes_it_worse_is_taken_back():
     told = stacked([level(float(np.clip(np.round(2 * x), -2, 2)), 5) for x in u])
     how = Noise(jnp.float32(kappa), jnp.float32(1e-2), jnp.full(60, 0.02, jnp.float32))
     A, given = jnp.float32(3 * Psi), Answers(told, jnp.ones(60, bool), how)
-    reached = jax.jit(lambda steps: evidence_of(A, given, improved(A, given, unknown(A, 60), steps=steps)))
+    reached = jax.jit(lambda steps: improved(A, given, unknown(A, 60), steps=steps).evidence)
     found = [float(reached(steps)) for steps in (1, 4, 8, 16, 32)]
     assert found == sorted(found)  # whole steps end at -1e7
     assert found[-1] > -100
@@ -209,6 +209,6 @@ def test_what_the_bound_leaves_out_is_nearly_all_that_it_misses(size):
     u = np.linspace(-8 * size, 8 * size, 4001)
     likelihood = 0.02 + 0.96 / (1 + np.exp(-u / KAPPA))
     exact = np.log(np.sum(likelihood * stats.norm(0, size).pdf(u)) * (u[1] - u[0]))
-    bound = float(evidence_of(A, given, belief))
+    bound = float(belief.evidence)
     assert bound < exact
     assert abs(bound + float(left_out(A, given, belief)) - exact) < 0.6 * (exact - bound)

@@ -15,8 +15,9 @@ from jaxtyping import Array, Float, Int
 from hiprl.data.preference import WHOLE, Clip
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import InputError
+from hiprl.models.evidence import clip_sums
 from hiprl.models.features import AdditiveFeatures
-from hiprl.models.reward import AdditiveReward, EstimatedReward, clip_sums
+from hiprl.models.reward import AdditiveReward, EstimatedReward
 from hiprl.types import Count, Key, Scalar
 
 Pick: TypeAlias = Literal["uniform", "information"]

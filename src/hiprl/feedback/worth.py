@@ -18,7 +18,8 @@ from jaxtyping import Array, Bool, Float
 from hiprl.data.preference import Clip
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.feedback.questions import NODES, WEIGHTS, QuestionConfig, apart, drawn, phi_of
-from hiprl.models.reward import AdditiveReward, clip_sums
+from hiprl.models.evidence import clip_sums
+from hiprl.models.reward import AdditiveReward
 from hiprl.types import Key, Scalar
 
 CANDIDATES = 300  # questions that are weighed up

@@ -8,6 +8,7 @@ and these units are found in turn. Numbers are in the judge's own unit, which do
 from __future__ import annotations
 
 import math
+from enum import IntEnum
 from functools import partial
 from typing import NamedTuple, TypeAlias
 
@@ -16,10 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from hiprl.data.preference import Clip, Kind, Preferences, Said
+from hiprl.data.preference import Kind, Preferences, Said
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.features import AdditiveFeatures, Kernel, priors_of
+from hiprl.models.evidence import Evidence, evidence, kinds_in
+from hiprl.models.features import Kernel, priors_of
 from hiprl.models.likelihood import Noise, for_each, responsibility
 from hiprl.models.relevance import relevance_of, spread_by
 from hiprl.models.reward import (
@@ -28,22 +30,18 @@ from hiprl.models.reward import (
     Errors,
     additive_reward,
     believed,
-    clip_sums,
-    evidence,
-    most_steps,
 )
-from hiprl.models.sums import every_step, values
+from hiprl.models.sums import values
 from hiprl.models.units import lengths_of, units
-from hiprl.models.variational import Answers, Belief, evidence_of, improved, left_out, posterior_of, thin, unknown
-from hiprl.types import Count, Flag, Scalar
+from hiprl.models.variational import Answers, Belief, improved, left_out, posterior_of, thin, unknown
+from hiprl.types import Count, Scalar
 
-ROUNDS = 6  # at most, of finding units, mistakes and relevance for the reward, and the reward for these
+ROUNDS = 9  # at most, of finding units, mistakes and relevance for the reward, and the reward for these
 SAME = 0.05  # relative change of these below which the next round would find nothing new
-STEPS, ENOUGH = 10, 0.3  # Newton steps for a candidate at most, and the gain in nats of one that is the last
+STEPS, ENOUGH = 20, 0.3  # Newton steps for a candidate at most, and the gain in nats of one that is the last
 POLISH = 20, 1e-3  # the same for the candidate that is kept
-COLUMNS = 2  # of the prior's factor, for each coordinate, while kernels are weighed up
-COLUMNS_OF_NUMBERS = 4  # the same where there are numbers, whose errors are small
-FULL = 6  # the same for the kernel that is kept
+COLUMNS, FULL = 2, 3  # of the prior's factor, for each coordinate, while kernels are weighed up, and for the one kept
+COLUMNS_OF_NUMBERS, FULL_OF_NUMBERS = 4, 6  # the same where there are numbers, whose errors are small
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)  # candidates for the size of a typical difference, where a whole scale is 1
 USUAL = math.sqrt(2)  # size of the difference of two clips drawn at random, where their spread is 1
 SURENESS = 2.0  # factor by which a typical difference may well be another size than a whole scale
@@ -110,10 +108,20 @@ class Problem(NamedTuple):
         return Answers(Said(self.said.kind, low, self.said.high, self.said.items), self.filled, noise)
 
 
+class Under(NamedTuple):
+    """The values that were compared, under one kernel."""
+
+    factor: Float[Array, "KJ rank"]
+    """A with AAᵀ their prior covariance, before each is put into the unit of its answer."""
+    number: Scalar
+    """What a number is divided by."""
+
+
 class Found(NamedTuple):
     """The best so far."""
 
     at: At
+    under: Under
     belief: Belief
     score: Scalar
     """Log marginal likelihood and prior."""
@@ -121,12 +129,24 @@ class Found(NamedTuple):
     """The same along the scales."""
 
 
+class Look(IntEnum):
+    """Which candidates a round looks at."""
+
+    ALL = 0
+    SAME = 1
+    """None but the one found."""
+    NEAR = 2
+    """Those beside it."""
+    NONE = 3
+    """The search is over."""
+
+
 class Round(NamedTuple):
     """Where the search for scales, units and mistakes is."""
 
     number: Count
-    moved: Flag
-    """The last round changed something."""
+    look: Count
+    """A `Look`."""
     unit: Float[Array, " K"]
     """What a whole scale was at each answer, over that at the newest."""
     mistakes: Float[Array, " judges"]
@@ -149,37 +169,40 @@ def estimate_from_answers(
 
     Source: HIP-RL eq. (7); `hiprl.models.variational`.
     """
-    features, Psi = compared(T, P)
+    seen = evidence(T, P)
     kinds = kinds_in(P)
     levels = P.filled & (P.said.kind != Kind.NUMBER) & jnp.isfinite(P.said.low) & jnp.isfinite(P.said.high)
     kappas = KAPPAS if bool(jnp.any(levels & (P.said.kind != Kind.RANKING))) else (KAPPA,)
+    entries = seen.features.low.shape[0] + 1
     variance, length = np.asarray(kernels).T
     log_prior = believed(kernels) - BENT * np.log10(variance / variance.min())
     middle = len(SCALES) // 2, int(np.sum(length == length.max())) // 2, len(kappas) // 2
     numbers = Kind.NUMBER in kinds
     with jax.enable_x64(True):
-        wide = in_64_bits((Psi, P.said, priors_of(features, kernels)))
+        wide = in_64_bits((seen.Psi, P.said, priors_of(seen.features, kernels)))
         judge = jnp.minimum(P.judge, JUDGES - 1)
         problem = Problem(wide[0], wide[1], P.filled, judge, wide[2], jnp.asarray(log_prior), jnp.asarray(kappas))
     with jax.enable_x64(numbers):  # whose errors are small
         end = _search(
             problem if numbers else in_32_bits(problem),
-            features,
+            seen,
             T,
             P,
             lengths_of(P),
             jnp.asarray(middle),
-            columns=(COLUMNS_OF_NUMBERS if numbers else COLUMNS) * (features.low.shape[0] + 1),
+            columns=(COLUMNS_OF_NUMBERS if numbers else COLUMNS) * entries,
             learn_mistakes=learn_mistakes,
             numbers=numbers,
         )
     with jax.enable_x64(True):
         posterior, errors = in_32_bits(
-            _posterior(problem, in_64_bits(end), columns=FULL * (features.low.shape[0] + 1), numbers=numbers)
+            _posterior(
+                problem, in_64_bits(end), columns=(FULL_OF_NUMBERS if numbers else FULL) * entries, numbers=numbers
+            )
         )
     if numbers:
         errors = errors._replace(spread=jnp.zeros(()))  # a number has a unit of its own
-    return additive_reward(T, features, *posterior, errors)
+    return additive_reward(T, seen, *posterior, errors)
 
 
 def in_64_bits(x: PyTree) -> PyTree:
@@ -192,48 +215,20 @@ def in_32_bits(x: PyTree) -> PyTree:
     return jax.tree.map(lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, x)
 
 
-def kinds_in(P: Preferences) -> set[Kind]:
-    """Kinds of the answers there are. Not to be traced."""
-    return {Kind(int(kind)) for kind in np.asarray(P.said.kind)[: int(P.count)]}
-
-
-def compared(T: Trajectories, P: Preferences) -> tuple[AdditiveFeatures, Float[Array, "K J D"]]:
-    """Features of T, and Ψ: what each answer compares, ratings included. Not to be traced."""
-    steps = most_steps(P, T)
-    features, Psi = evidence(T, P, steps=steps)
-    return features, _with_ratings(features, T, P, Psi, longest=steps) if Kind.RATING in kinds_in(P) else Psi
-
-
-@partial(jax.jit, static_argnames=("longest",))
-def _with_ratings(features: AdditiveFeatures, T: Trajectories, P: Preferences, Psi, *, longest: int):
-    """Ψ with a row for each rating: its clip against as many average steps of what was at hand."""
-    Phi = clip_sums(features, T, Clip.whole(jnp.arange(T.capacity)), T.rows.actions.shape[1])
-    clips = jax.tree.map(lambda x: x[:, 0], P.clips)
-    steps = jnp.clip(T.rows.length[clips.of] - clips.start, 0, clips.length)
-
-    def average(at_hand: Count) -> Float[Array, " D"]:
-        there = (jnp.arange(T.capacity) < at_hand) & T.filled
-        count = jnp.maximum(jnp.sum(jnp.where(there, T.rows.length, 0)), 1)
-        return jnp.sum(jnp.where(there[:, None], Phi, 0.0), axis=0) / count
-
-    shown = clip_sums(features, T, clips, longest)
-    against = shown - steps[:, None] * jax.vmap(average)(P.at_hand)
-    rated = P.filled & (P.said.kind == Kind.RATING)
-    return Psi.at[:, 0].set(jnp.where(rated[:, None], against, Psi[:, 0]))
-
-
-def visits_of(sizes: tuple[int, ...]) -> tuple[Int[np.ndarray, "first 3"], Int[np.ndarray, "later 3"]]:
-    """What the first round and each later one look at: an axis, where to on it, and whether that is from here."""
+def visits_of(sizes: tuple[int, ...]) -> tuple[Int[np.ndarray, "visits 3"], Int[np.ndarray, "looks 2"]]:
+    """What can be looked at: an axis, where to on it, and whether that is from here; and each `Look`'s part of it."""
     axes = [axis for axis, n in enumerate(sizes) if n > 1]
-    first = [(axis, to, 0) for axis in axes for to in range(sizes[axis])]
-    later = first[: sizes[0]] + [(axis, to, 1) for axis in axes[1:] for to in (-1, 1)]
-    return np.array(first), np.array(later)
+    every = [(axis, to, 0) for axis in axes for to in range(sizes[axis])]
+    same = [(0, 0, 1)]
+    near = every[: sizes[0]] + [(axis, to, 1) for axis in axes[1:] for to in (-1, 1)]
+    ends = np.cumsum([0, *map(len, (every, same, near))])
+    return np.array(every + same + near), np.stack([ends[:-1], ends[1:]], axis=1)
 
 
 @partial(jax.jit, static_argnames=("columns", "learn_mistakes", "numbers"))
 def _search(
     problem: Problem,
-    features: AdditiveFeatures,
+    seen: Evidence,
     T: Trajectories,
     P: Preferences,
     lengths: Int[Array, " L"],
@@ -245,27 +240,29 @@ def _search(
 ) -> Round:
     """The best scales, the units of the answers, how the judges err, and what they go by.
 
-    The scales are found one after the other: at first along all candidates for one with the others as they are, then
-    among the nearest ones, until neither they nor units, mistakes and relevance change. Each candidate goes on from the
-    belief of the best before it, so that a few of Newton's steps do: an error of the belief counts by its square alone.
+    The scales are found one after the other: at first along all candidates for one with the others as they are, and
+    once units, mistakes and relevance have settled, among the nearest ones, until nothing changes. Each candidate goes
+    on from the belief of the best before it, so that a few of Newton's steps do: an error of the belief counts by its
+    square alone.
     """
     K, J, D = problem.Psi.shape
     told = problem.filled & ~problem.number
     sizes = len(SCALES), len(problem.priors), len(problem.kappas)
-    first, later = visits_of(sizes)
-    visits = jnp.concatenate([first, later])
-    X, mask = every_step(features, T), jax.vmap(Trajectory.transitions)(T.rows).mask
+    visits, looks = map(jnp.asarray, visits_of(sizes))
+    mask = jax.vmap(Trajectory.transitions)(T.rows).mask
     flat = problem.Psi.reshape(K * J, D)
 
     def weights(at: At, unit: Float[Array, " K"]) -> Float[Array, " KJ"]:
         return problem.weights(jnp.asarray(SCALES, flat.dtype)[at[0]], unit)
 
-    def seen(at: At, unit: Float[Array, " K"], prior: Float[Array, " D"]) -> Float[Array, "KJ rank"]:
-        """Factor of the prior covariance of the values."""
-        return jnp.concatenate([weights(at, unit)[:, None] * factor_of(flat, prior, columns), problem.offset], axis=1)
+    def under(i: Count, relevance: Float[Array, " entries"]) -> Under:
+        prior = problem.prior(i, relevance)
+        number = problem.number_unit(prior) if numbers else jnp.ones((), flat.dtype)
+        return Under(factor_of(flat, prior, columns), number)
 
-    def number_unit(prior: Float[Array, " D"]) -> Scalar:
-        return problem.number_unit(prior) if numbers else jnp.ones((), flat.dtype)
+    def in_units(at: At, kernel: Under, unit: Float[Array, " K"]) -> Float[Array, "KJ rank"]:
+        """Factor of the prior covariance of the values, each in the unit of its answer."""
+        return jnp.concatenate([weights(at, unit)[:, None] * kernel.factor, problem.offset], axis=1)
 
     def carried(belief: Belief, before: Array, now: Array) -> Belief:
         """The same belief about θ, in other units."""
@@ -276,16 +273,15 @@ def _search(
         axis, to, nearby = visit
         i = jnp.clip(jnp.where(nearby, found.at[axis] + to, to), 0, jnp.asarray(sizes)[axis] - 1)
         at = found.at.at[axis].set(i)
-        prior = problem.prior(at[1], before.relevance)
-        number = number_unit(prior)
-        A, given = seen(at, before.unit, prior), problem.answers(at, number, before.mistakes)
+        kernel = jax.lax.cond(axis == 1, lambda: under(i, before.relevance), lambda: found.under)
+        A, given = in_units(at, kernel, before.unit), problem.answers(at, kernel.number, before.mistakes)
         belief = carried(found.belief, weights(found.at, before.unit), weights(at, before.unit))
         belief = improved(A, given, belief, steps=STEPS, enough=ENOUGH)
-        score = evidence_of(A, given, belief) + left_out(A, given, belief) + problem.log_prior[at[1]]
-        score -= jnp.sum(problem.filled & problem.number) * jnp.log(number)
+        score = belief.evidence + left_out(A, given, belief) + problem.log_prior[at[1]]
+        score -= jnp.sum(problem.filled & problem.number) * jnp.log(kernel.number)
         score -= 0.5 * (jnp.log(jnp.asarray(SCALES, score.dtype)[at[0]] / USUAL) / math.log(SURENESS)) ** 2
         line = jnp.where(axis == 0, found.line.at[i].set(score), found.line)
-        new, old = Found(at, belief, score, line), found._replace(line=line)
+        new, old = Found(at, kernel, belief, score, line), found._replace(line=line)
         return jax.tree.map(partial(jnp.where, score > found.score), new, old)
 
     def erring(A: Float[Array, "KJ rank"], given: Answers, belief: Belief) -> Float[Array, " judges"]:
@@ -296,41 +292,46 @@ def _search(
         return (total + MISTAKE * TRUST) / (nobody.at[problem.judge].add(told) + TRUST)
 
     def one_round(before: Round) -> Round:
-        """The best candidates, and units, mistakes and relevance by what was found."""
+        """The best candidate, and units, mistakes and relevance by what was found."""
         unit, mistakes, relevance = before.unit, before.mistakes, before.relevance
-        begin, end = jnp.where(before.number == 0, jnp.asarray([0, len(first)]), jnp.asarray([len(first), len(visits)]))
-        start = before.found._replace(score=jnp.full_like(before.found.score, -jnp.inf))
+        start = before.found._replace(
+            score=jnp.full_like(before.found.score, -jnp.inf), under=under(before.found.at[1], relevance)
+        )
+        begin, end = looks[before.look]
         found = jax.lax.fori_loop(begin, end, lambda i, found: tried(before, visits[i], found), start)
         prior, weight = problem.prior(found.at[1], relevance), weights(found.at, unit)
-        A, given = seen(found.at, unit, prior), problem.answers(found.at, number_unit(prior), mistakes)
+        A, given = in_units(found.at, found.under, unit), problem.answers(found.at, found.under.number, mistakes)
         mean = prior * (flat.T @ (weight * found.belief.dual))  # but for the unit of numbers, which changes no ratio
         root = ((posterior_of(A, given, found.belief).root * weight[None]) @ flat) * prior[None]
-        r = values(features, X, mean.astype(X.dtype)).reshape(mask.shape)
+        r = values(seen.features, seen.X, mean.astype(seen.X.dtype)).reshape(mask.shape)
         now = units(r, T, P, lengths, jnp.maximum(P.count - 1, 0)).astype(unit.dtype)
         relevant = relevance_of(mean, prior, root, relevance)
         wrong = erring(A, given, found.belief) if learn_mistakes else mistakes
         apart = jnp.maximum(far(jnp.where(problem.filled, now / unit, 1.0)), far(wrong / mistakes))
-        apart = jnp.maximum(apart, far(relevant / relevance))
-        moved = jnp.any(found.at != before.found.at) | (apart > SAME) | (before.number == 0)
+        apart = jnp.maximum(apart, far((1 + relevant) / (1 + relevance)))  # what is silent may change by a lot
+        number, near = before.number + 1, before.look == Look.NEAR
+        moved = jnp.where(near, jnp.any(found.at != before.found.at), apart > SAME) & (number < ROUNDS)
+        look = jnp.where(moved, Look.SAME, jnp.where(near, Look.NONE, Look.NEAR)).astype(number.dtype)
         belief = carried(found.belief, weight, weights(found.at, now))
-        return Round(before.number + 1, moved, now, wrong, relevant, found._replace(belief=belief))
+        return Round(number, look, now, wrong, relevant, found._replace(belief=belief))
 
     def far(ratio: Array) -> Scalar:
         return jnp.max(jnp.abs(jnp.log(ratio)))
 
     nowhere, unit = jnp.full(1 + len(SCALES), -jnp.inf, flat.dtype), jnp.ones(K, flat.dtype)
-    relevance = jnp.ones_like(features.low, flat.dtype)
-    A = seen(middle, unit, problem.prior(middle[1], relevance))
-    found = Found(middle, unknown(A, K), nowhere[0], nowhere[1:])
+    relevance = jnp.ones_like(seen.features.low, flat.dtype)
     mistakes = jnp.full(JUDGES, MISTAKE, flat.dtype)
-    start = Round(jnp.zeros((), jnp.int32), jnp.asarray(True), unit, mistakes, relevance, found)
-    return jax.lax.while_loop(lambda now: now.moved & (now.number <= ROUNDS), one_round, start)
+    kernel = under(middle[1], relevance)
+    found = Found(middle, kernel, unknown(in_units(middle, kernel, unit), K), nowhere[0], nowhere[1:])
+    zero = jnp.zeros((), jnp.int32)
+    start = Round(zero, zero + Look.ALL, unit, mistakes, relevance, found)
+    return jax.lax.while_loop(lambda now: now.look != Look.NONE, one_round, start)
 
 
 @partial(jax.jit, static_argnames=("columns", "numbers"))
 def _posterior(problem: Problem, end: Round, *, columns: int, numbers: bool):
     """Mean, prior variance and root of θ for the scales that were found, and how the judges err."""
-    at, belief, _, line = end.found
+    at, _, belief, _, line = end.found
     flat, prior = problem.Psi.reshape(-1, problem.Psi.shape[2]), problem.prior(at[1], end.relevance)
     unit = problem.number_unit(prior) if numbers else jnp.ones((), flat.dtype)
     scale, spread = top_of(line)

@@ -10,7 +10,8 @@ from hiprl.data.preference import Preferences
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import InputError
 from hiprl.models.answers import estimate_from_answers
-from hiprl.models.reward import AdditiveConfig, EstimatedReward, estimate_additive_reward, most_steps
+from hiprl.models.evidence import most_steps
+from hiprl.models.reward import AdditiveConfig, EstimatedReward, estimate_additive_reward
 from hiprl.models.reward_network import (
     NetworkConfig,
     NetworkReward,
@@ -49,6 +50,6 @@ def estimate_reward(
         assert isinstance(before, NetworkReward)
         return estimate_network_reward(P, T, before, config)
     if numbers:
-        return estimate_additive_reward(P, T, config, steps=steps)
+        return estimate_additive_reward(P, T, config)
     several = len(np.unique(np.asarray(P.judge)[: int(P.count)])) > 1  # by NumPy: JAX would compile for each count
     return estimate_from_answers(P, T, config.kernels, learn_mistakes=several)

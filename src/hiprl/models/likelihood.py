@@ -26,6 +26,7 @@ from hiprl.data.preference import Kind, Said
 from hiprl.types import Count, Flag, Scalar
 
 TINY = 1e-12
+WIDE = 1e6  # in scales of the error: as good as infinite, and its gradient is a number
 LEAST = 1e-30  # probability, so that its logarithm is a number
 
 
@@ -41,15 +42,21 @@ class Noise(eqx.Module):
     an answer, or one for each."""
 
 
+def scaled(
+    low: Float[Array, "..."], high: Float[Array, "..."], u: Float[Array, "..."], kappa: Scalar
+) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
+    """Both bounds as seen from u, in scales of the error, and the log of how much their distance takes off."""
+    a, b = (jnp.clip((bound - u) / kappa, -WIDE, WIDE) for bound in (low, high))
+    width = jnp.clip((high - low) / kappa, TINY, WIDE)
+    return a, b, jnp.log(-jnp.expm1(-width))
+
+
 def between(
     low: Float[Array, "..."], high: Float[Array, "..."], u: Float[Array, "..."], kappa: Scalar
 ) -> Float[Array, "..."]:
     """Log of the probability that u plus a logistic error of scale κ lies in [low, high]."""
-    wide = 1e6  # in scales of the error: as good as infinite, and its gradient is a number
-    a = jnp.clip((low - u) / kappa, -wide, wide)
-    b = jnp.clip((high - u) / kappa, -wide, wide)
-    width = jnp.maximum(b - a, TINY)
-    return -jax.nn.softplus(-b) - jax.nn.softplus(a) + jnp.log(-jnp.expm1(-width))
+    a, b, narrow = scaled(low, high, u, kappa)
+    return narrow - jax.nn.softplus(-b) - jax.nn.softplus(a)
 
 
 def plackett_luce(u: Float[Array, " J"], items: Count, kappa: Scalar) -> Scalar:
@@ -119,9 +126,17 @@ def level_terms(
     low: Float[Array, " rows"], high: Float[Array, " rows"], u: Float[Array, " rows"], kappa: Scalar
 ) -> Terms:
     """`between` with its derivatives; for the logistic distribution F these are F(a) + F(b) - 1 and F′(a) + F′(b)."""
-    F_a, F_b = jax.nn.sigmoid((low - u) / kappa), jax.nn.sigmoid((high - u) / kappa)
+    a, b, narrow = scaled(low, high, u, kappa)
+    (F_a, tail_a), (F_b, tail_b) = logistic(a), logistic(b)
+    value = narrow - jnp.maximum(a, 0.0) - tail_a - jnp.maximum(-b, 0.0) - tail_b
     curvature = F_a * (1 - F_a) + F_b * (1 - F_b)
-    return Terms(between(low, high, u, kappa), (F_a + F_b - 1) / kappa, curvature / kappa**2)
+    return Terms(value, (F_a + F_b - 1) / kappa, curvature / kappa**2)
+
+
+def logistic(x: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """F(x) of the standard logistic distribution, and log (1 + e^-|x|), which with it gives log F and log (1 - F)."""
+    e = jnp.exp(-jnp.abs(x))
+    return jnp.where(x > 0, 1.0, e) / (1 + e), jnp.log1p(e)
 
 
 def terms(u: Float[Array, " rows"], said: Said, noise: Noise) -> Terms:
@@ -137,8 +152,9 @@ def terms(u: Float[Array, " rows"], said: Said, noise: Noise) -> Terms:
     false = Terms(turned.value, -turned.slope, turned.curvature)
     false = jax.tree.map(lambda x, y: jnp.where(ranking, x, y), any_order, false)
     erring = jnp.log(jnp.maximum(noise.mistake, LEAST)) + false.value
-    value = jnp.logaddexp(jnp.log1p(-noise.mistake) + true.value, erring)
-    wrong = jnp.minimum(jnp.exp(erring - value), 1.0)
+    meaning = jnp.log1p(-noise.mistake) + true.value
+    wrong, tail = logistic(erring - meaning)
+    value = jnp.maximum(meaning, erring) + tail
     mixed = lambda x, y: (1 - wrong) * x + wrong * y
     either = Terms(value, mixed(true.slope, false.slope), mixed(true.curvature, false.curvature))
     exact = Terms(

@@ -11,11 +11,12 @@ from jaxtyping import Array, Float
 
 from hiprl.data.preference import Kind, Preferences, Said
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.answers import KAPPA, MISTAKE, compared
+from hiprl.models.answers import KAPPA, MISTAKE
 from hiprl.models.estimate import RewardConfig, estimate_reward
+from hiprl.models.evidence import Evidence, evidence
 from hiprl.models.likelihood import Noise, log_likelihood
 from hiprl.models.reward import AdditiveReward
-from hiprl.models.sums import every_step, values
+from hiprl.models.sums import values
 from hiprl.models.units import lengths_of, units
 
 DRAWS = 512  # from the belief about a held-out answer
@@ -63,13 +64,12 @@ def cross_validated(P: Preferences, T: Trajectories, config: RewardConfig, *, fo
 
 def predicted(P: Preferences, T: Trajectories, reward: AdditiveReward, *, newest: int) -> Held:
     """What a reward says of each answer in P; `newest` is the index of the newest one that it has learned from."""
-    features, Psi = compared(T, P)
-    return _predicted(P, T, reward, features, Psi, lengths_of(P), jnp.asarray(newest))
+    return _predicted(P, T, reward, evidence(T, P), lengths_of(P), jnp.asarray(newest))
 
 
 @jax.jit
-def _predicted(P: Preferences, T: Trajectories, reward: AdditiveReward, features, Psi, lengths, newest) -> Held:
-    J = Psi.shape[1]
+def _predicted(P: Preferences, T: Trajectories, reward: AdditiveReward, seen: Evidence, lengths, newest) -> Held:
+    Psi, J = seen.Psi, seen.Psi.shape[1]
     mean = Psi @ reward.mean
     half = Psi @ reward.root.T
     C = jnp.einsum("kid,d,kjd->kij", Psi, reward.prior, Psi) - jnp.einsum("kin,kjn->kij", half, half)
@@ -81,7 +81,7 @@ def _predicted(P: Preferences, T: Trajectories, reward: AdditiveReward, features
     count = jnp.maximum(jnp.sum(numbers), 1)
     size = jnp.sqrt(jnp.sum(jnp.where(numbers, P.g**2, 0.0)) / count)
     size = jnp.where(size > 0, size, 1.0)
-    r = values(features, every_step(features, T), reward.mean).reshape(T.rows.actions.shape[:2])
+    r = values(seen.features, seen.X, reward.mean).reshape(T.rows.actions.shape[:2])
     unit = jnp.where(number, 1 / size, reward.errors.scale / units(r, T, P, lengths, newest))
     kappa = jnp.where(reward.errors.kappa < 1, reward.errors.kappa, KAPPA)  # a reward of numbers alone knows none
     noise = Noise(kappa, jnp.asarray(NUMBER_ERROR**2 + 1e-4), jnp.asarray(MISTAKE))

@@ -6,20 +6,39 @@ fast: the steps are the innermost axis, and features are never written out.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.features import AdditiveFeatures, by_entry, waves
 
 
+class Steps(NamedTuple):
+    """All steps that T has room for, one trajectory after the other."""
+
+    x: Float[Array, "n steps"]
+    """(s, a) of each, every entry a row; 0 where there is no step."""
+    mask: Bool[Array, " steps"]
+
+
+@jax.jit
+def steps_of(T: Trajectories) -> Steps:
+    """The steps of T."""
+    rows = T.transitions()
+    clean = lambda x: jnp.where(rows.mask[:, None], x, 0.0)
+    return Steps(side_by_side(clean(rows.s), clean(rows.a)), rows.mask)
+
+
 def side_by_side(s: Float[Array, "steps p"], a: Float[Array, "steps q"]) -> Float[Array, "n steps"]:
     """(s, a) of steps, each entry a row."""
-    return jax.lax.optimization_barrier(jnp.concatenate([s.T, a.T]))  # or who uses it would put it together anew
+    x = jax.lax.optimization_barrier(jnp.concatenate([s, a], axis=1))  # to turn the whole is faster than its parts
+    return jax.lax.optimization_barrier(x.T)  # or who uses it would put it together anew
 
 
+@jax.jit
 def columns(features: AdditiveFeatures, x: Float[Array, "n steps"]) -> Float[Array, "n steps"]:
     """Coordinates of steps, each coordinate a row."""
     z = (x - features.scaler.mean[:, None]) / features.scaler.std[:, None]
@@ -51,11 +70,3 @@ def total(features: AdditiveFeatures, X: Float[Array, "n steps"], shown: Bool[Ar
     one = jnp.where(shown, 1.0, 0.0).astype(X.dtype)
     linear, *smooth = (jnp.where(shown[None], term, 0.0) @ one for term in terms(features, X))
     return jnp.concatenate([jnp.sum(one)[None], linear, jnp.stack(smooth, axis=1).reshape(-1)])
-
-
-@jax.jit
-def every_step(features: AdditiveFeatures, T: Trajectories) -> Float[Array, "n steps"]:
-    """The coordinates of all steps that T has room for, one trajectory after the other; 0 where there is none."""
-    rows = jax.vmap(Trajectory.transitions)(T.rows)
-    clean = lambda x: jnp.where(rows.mask[..., None], x, 0.0).reshape(-1, x.shape[-1])
-    return columns(features, side_by_side(clean(rows.s), clean(rows.a)))

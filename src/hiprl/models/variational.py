@@ -23,7 +23,6 @@ from hiprl.models.likelihood import Noise, curvature, for_each, log_likelihood, 
 from hiprl.types import Count, Scalar
 
 JITTER = 1e-10
-STEP = 0.7  # share of the way to the aim of a Newton step
 NODES = 11  # of the quadrature over one value
 DRAWS = 24  # pairs of points over several
 
@@ -39,6 +38,9 @@ class Belief(NamedTuple):
     """Covariance of the values of each row."""
     log_det: Scalar
     """log |I + KW|: twice how much less is unknown, in nats."""
+    evidence: Scalar
+    """Lower bound of the log marginal likelihood: how well the answers are explained, less what was learned; minus
+    infinity before any step."""
 
 
 class Posterior(NamedTuple):
@@ -89,7 +91,12 @@ def thin(K: Float[Array, "n n"], rank: int) -> Float[Array, "n rank"]:
 def unknown(A: Float[Array, "n r"], rows: int) -> Belief:
     """What is believed of f ~ N(0, AAᵀ) before any answer."""
     S = blocks_of(A.T, rows)
-    return Belief(jnp.zeros(len(A), A.dtype), jnp.zeros_like(S), S, jnp.zeros((), A.dtype))
+    return Belief(jnp.zeros(len(A), A.dtype), jnp.zeros_like(S), S, jnp.zeros((), A.dtype), unseen(A))
+
+
+def unseen(A: Float[Array, "n r"]) -> Scalar:
+    """What a belief of which nothing is known yet reaches."""
+    return jnp.asarray(-jnp.inf, A.dtype)
 
 
 def blocks_of(B: Float[Array, "r n"], rows: int) -> Float[Array, "rows J J"]:
@@ -163,8 +170,6 @@ class Climb(NamedTuple):
     slope: Float[Array, " n"]
     """Of the mean log likelihood there."""
     bend: Float[Array, "rows J J"]
-    evidence: Scalar
-    """What it reaches; infinitely little before the first step."""
     gain: Scalar
     """By how much the last step was better."""
     step: Scalar
@@ -193,41 +198,36 @@ def improved(
         b = by_block(W, f) + slope
         aim = b - by_block(W, half.T @ (half @ b))
         log_det = 2 * jnp.sum(jnp.log(jnp.diag(L)))
-        return Belief(belief.dual + step * (aim - belief.dual), W, blocks_of(half, rows), log_det)
+        return Belief(belief.dual + step * (aim - belief.dual), W, blocks_of(half, rows), log_det, unseen(A))
 
     def looked(climb: Climb) -> Climb:
         """The same with what the last step came to."""
         z = A.T @ climb.at.dual
         value, slope, bend = over_belief(A @ z, climb.at.S, given)
-        reached = jnp.sum(value) - divergence(z, climb.at)
-        gain = reached - climb.evidence
+        at = climb.at._replace(evidence=jnp.sum(value) - divergence(z, climb.at))
+        gain = at.evidence - climb.best.evidence
         good = gain >= 0
-        here, there = (climb.at, slope, bend, reached), (climb.best, climb.slope, climb.bend, climb.evidence)
-        best, slope, bend, reached = jax.tree.map(lambda x, y: jnp.where(good, x, y), here, there)
-        step = jnp.where(good, jnp.minimum(STEP, 2 * climb.step), climb.step / 4)
-        gain = jnp.where(good, gain, jnp.inf)  # not there yet
-        return Climb(climb.number, climb.at, best, slope, bend, reached, gain, step)
+        here, there = (at, slope, bend), (climb.best, climb.slope, climb.bend)
+        best, slope, bend = jax.tree.map(lambda x, y: jnp.where(good, x, y), here, there)
+        step = jnp.where(good, jnp.minimum(1.0, 2 * climb.step), climb.step / 4)
+        gain = jnp.where(good & (climb.number > 0), gain, jnp.inf)  # not there yet
+        return Climb(climb.number, at, best, slope, bend, gain, step)
 
     def newton(climb: Climb) -> Climb:
         at = towards(climb.best, climb.slope, climb.bend, climb.step)
         return looked(climb._replace(at=at, number=climb.number + 1))
 
-    _, slope, bend = over_belief(A @ (A.T @ belief.dual), belief.S, given)
     of = lambda x: jnp.asarray(x, A.dtype)
-    start = Climb(jnp.zeros((), jnp.int32), belief, belief, slope, bend, of(-jnp.inf), of(jnp.inf), of(STEP))
+    nothing = jnp.zeros_like(belief.dual), jnp.zeros_like(belief.W)
+    here = towards(belief, *nothing, of(0.0))  # what was believed before, under this prior
+    begin = Climb(jnp.zeros((), jnp.int32), here, here, *nothing, of(jnp.inf), of(1.0))
     going = lambda climb: (climb.number < steps) & (climb.gain > enough)
-    return jax.lax.while_loop(going, newton, start).best
+    return jax.lax.while_loop(going, newton, looked(begin)).best
 
 
 def divergence(z: Float[Array, " r"], belief: Belief) -> Scalar:
     """Of the belief about z, whose mean this is, from its prior, in nats."""
     return 0.5 * (belief.log_det + z @ z - jnp.sum(belief.W * belief.S))  # tr (I + KW)⁻¹ = n - tr WS
-
-
-def evidence_of(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Scalar:
-    """Lower bound of the log marginal likelihood: how well the answers are explained, less what was learned."""
-    z = A.T @ belief.dual
-    return jnp.sum(over_belief(A @ z, belief.S, given)[0]) - divergence(z, belief)
 
 
 def left_out(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Scalar:
@@ -241,7 +241,8 @@ def left_out(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Scalar:
     z, weights = (jnp.asarray(x, A.dtype) for x in points(J))
     L = jnp.linalg.cholesky(belief.S + JITTER * jnp.eye(J, dtype=A.dtype)[None])
     u = (A @ (A.T @ belief.dual)).reshape(1, rows, J) + jnp.einsum("rij,zj->zri", L, z)
-    value = jax.vmap(lambda u: for_each(log_likelihood, u, said, noise))(u)
+    each = lambda u: terms(u[:, 0], said, noise).value if J == 1 else for_each(log_likelihood, u, said, noise)
+    value = jax.vmap(each)(u)
     value = value - (weights @ value)[None]
     linear = jnp.einsum("z,zr,zi->ri", weights, value, z)
     quadratic = jnp.einsum("z,zr,zi,zj->rij", weights, value, z, z)
@@ -260,4 +261,4 @@ def posterior_of(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Post
     wide = jnp.einsum("rij,rs->risj", V, jnp.eye(rows, dtype=A.dtype)).reshape(n, n)
     L = jnp.linalg.cholesky(jnp.eye(n, dtype=A.dtype) + wide.T @ K @ wide)
     root = jax.scipy.linalg.solve_triangular(L, wide.T, lower=True)
-    return Posterior(belief.dual, K @ belief.dual, root, evidence_of(A, given, belief))
+    return Posterior(belief.dual, K @ belief.dual, root, belief.evidence)

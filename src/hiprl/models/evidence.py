@@ -1,0 +1,123 @@
+"""What was seen, and what each answer compares: all that the posterior of an additive reward is made from."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Shaped
+
+from hiprl.data.preference import Clip, Kind, Preferences
+from hiprl.data.trajectory_set import Trajectories
+from hiprl.models.features import AdditiveFeatures, size_of
+from hiprl.models.network import Scaler
+from hiprl.models.sums import Steps, columns, side_by_side, steps_of, total
+from hiprl.types import Count
+
+BOX_MARGIN = 0.25  # how far past the seen range a coordinate, and the reward itself, may count
+MANY = 4096  # steps over which the features' mean is taken where there are more
+TOGETHER, PART = 8, 512  # clips, and steps, whose features are made at a time: what stays near the processor
+
+
+@jax.jit
+def features_of(steps: Steps) -> AdditiveFeatures:
+    """Features standardised over these steps, with the box of what was seen, a margin added."""
+    x, mask = steps
+    alone = jax.vmap(lambda x: Scaler.of(x[:, None], mask))(x)
+    scaler = jax.tree.map(lambda each: each[:, 0], alone)
+    least = scaler.down(jnp.min(jnp.where(mask[None], x, jnp.inf), axis=1))
+    most = scaler.down(jnp.max(jnp.where(mask[None], x, -jnp.inf), axis=1))
+    margin = BOX_MARGIN * (most - least)
+    features = AdditiveFeatures(scaler, least - margin, most + margin, jnp.zeros(size_of(x.shape[0]), x.dtype))
+    some = slice(None, None, 1 + x.shape[1] // MANY)  # a mean of many does not need them all
+    each = lambda x: total(features, columns(features, x[0]), x[1])
+    whole = jnp.sum(jax.lax.map(each, (in_parts(x[:, some]), in_parts(mask[None, some])[:, 0])), axis=0)
+    centre = (whole / jnp.maximum(whole[0], 1)).at[0].set(0.0)
+    return eqx.tree_at(lambda f: f.centre, features, centre)
+
+
+def in_parts(x: Shaped[Array, "n steps"]) -> Shaped[Array, "parts n PART"]:
+    """Some steps at a time, with zeros at the end."""
+    x = jnp.pad(x, ((0, 0), (0, -x.shape[1] % PART)))
+    return x.reshape(x.shape[0], -1, PART).swapaxes(0, 1)
+
+
+def clip_sum(features: AdditiveFeatures, T: Trajectories, clip: Clip, steps: int) -> Float[Array, " D"]:
+    """Sum of φ over a clip of at most `steps` steps; 0 for nobody's."""
+    n = jnp.minimum(clip.length, jnp.maximum(T.rows.length[clip.of] - clip.start, 0))
+    t = jnp.arange(steps)
+    shown = (t < n) & (clip.of >= 0)
+    at = jnp.where(shown, clip.start + t, 0)
+    clean = lambda x: jnp.where(shown[:, None], x[clip.of, at], 0.0)  # the clip alone, not its whole trajectory
+    return total(features, columns(features, side_by_side(clean(T.rows.states), clean(T.rows.actions))), shown)
+
+
+def clip_sums(features: AdditiveFeatures, T: Trajectories, clips: Clip, steps: int) -> Float[Array, "clips D"]:
+    """The same for each of a stack of clips, a few at a time."""
+    return jax.lax.map(lambda clip: clip_sum(features, T, clip, steps), clips, batch_size=TOGETHER)
+
+
+def most_steps(P: Preferences, T: Trajectories) -> int:
+    """Steps of the longest clip in P, rounded up so that few programs serve all. Not to be traced."""
+    H = T.rows.actions.shape[1]
+    longest = int(jnp.max(jnp.where(P.filled[:, None], P.clips.length, 1), initial=1))
+    part = max(1, 1 << (longest - 1).bit_length() - 3)  # of the next power of two
+    return min(H, -(-longest // part) * part)
+
+
+class Evidence(NamedTuple):
+    """What was seen, and what each answer compares."""
+
+    features: AdditiveFeatures
+    X: Float[Array, "n steps"]
+    """Coordinates of all steps that T has room for."""
+    Psi: Float[Array, "K J D"]
+    """Ψ: the sum of φ over each clip of an answer less that over its last one."""
+
+
+def evidence(T: Trajectories, P: Preferences) -> Evidence:
+    """Features of T, and what they are of its steps and of what the answers in P compare, ratings included.
+
+    Not to be traced: put into one program, its parts would each put the steps side by side anew.
+    """
+    every, longest = steps_of(T), most_steps(P, T)
+    features = features_of(every)
+    Psi = _differences(features, T, P, steps=longest)
+    if Kind.RATING in kinds_in(P):
+        Psi = _with_ratings(features, T, P, Psi, longest=longest)
+    return Evidence(features, columns(features, every.x), Psi)
+
+
+@partial(jax.jit, static_argnames=("steps",))
+def _differences(features: AdditiveFeatures, T: Trajectories, P: Preferences, *, steps: int) -> Float[Array, "K J D"]:
+    Phi = clip_sums(features, T, jax.tree.map(lambda x: x.reshape(-1), P.clips), steps).reshape(*P.clips.of.shape, -1)
+    last = jnp.take_along_axis(Phi, jnp.maximum(P.said.items - 1, 0)[:, None, None], axis=1)
+    used = P.filled[:, None] & (jnp.arange(P.m - 1)[None] < P.said.items[:, None] - 1)
+    return jnp.where(used[..., None], Phi[:, :-1] - last, 0.0)
+
+
+def kinds_in(P: Preferences) -> set[Kind]:
+    """Kinds of the answers there are. Not to be traced."""
+    return {Kind(int(kind)) for kind in np.asarray(P.said.kind)[: int(P.count)]}
+
+
+@partial(jax.jit, static_argnames=("longest",))
+def _with_ratings(features: AdditiveFeatures, T: Trajectories, P: Preferences, Psi, *, longest: int):
+    """Ψ with a row for each rating: its clip against as many average steps of what was at hand."""
+    Phi = clip_sums(features, T, Clip.whole(jnp.arange(T.capacity)), T.rows.actions.shape[1])
+    clips = jax.tree.map(lambda x: x[:, 0], P.clips)
+    steps = jnp.clip(T.rows.length[clips.of] - clips.start, 0, clips.length)
+
+    def average(at_hand: Count) -> Float[Array, " D"]:
+        there = (jnp.arange(T.capacity) < at_hand) & T.filled
+        count = jnp.maximum(jnp.sum(jnp.where(there, T.rows.length, 0)), 1)
+        return jnp.sum(jnp.where(there[:, None], Phi, 0.0), axis=0) / count
+
+    shown = clip_sums(features, T, clips, longest)
+    against = shown - steps[:, None] * jax.vmap(average)(P.at_hand)
+    rated = P.filled & (P.said.kind == Kind.RATING)
+    return Psi.at[:, 0].set(jnp.where(rated[:, None], against, Psi[:, 0]))
