@@ -33,7 +33,7 @@ from hiprl.models.reward import (
 )
 from hiprl.models.sums import values
 from hiprl.models.units import lengths_of, units
-from hiprl.models.variational import Answers, Belief, improved, left_out, posterior_of, thin, unknown
+from hiprl.models.variational import Answers, Belief, begun, improved, left_out, posterior_of, thin, unknown
 from hiprl.types import Count, Scalar
 
 ROUNDS = 9  # at most, of finding units, mistakes and relevance for the reward, and the reward for these
@@ -294,9 +294,10 @@ def _search(
     def one_round(before: Round) -> Round:
         """The best candidate, and units, mistakes and relevance by what was found."""
         unit, mistakes, relevance = before.unit, before.mistakes, before.relevance
-        start = before.found._replace(
-            score=jnp.full_like(before.found.score, -jnp.inf), under=under(before.found.at[1], relevance)
-        )
+        kernel, at = under(before.found.at[1], relevance), before.found.at
+        A, given = in_units(at, kernel, unit), problem.answers(at, kernel.number, mistakes)
+        none = jnp.full_like(before.found.score, -jnp.inf)
+        start = before.found._replace(under=kernel, score=none, belief=begun(A, given, before.found.belief))
         begin, end = looks[before.look]
         found = jax.lax.fori_loop(begin, end, lambda i, found: tried(before, visits[i], found), start)
         prior, weight = problem.prior(found.at[1], relevance), weights(found.at, unit)

@@ -65,7 +65,7 @@ def most_steps(P: Preferences, T: Trajectories) -> int:
     """Steps of the longest clip in P, rounded up so that few programs serve all. Not to be traced."""
     H = T.rows.actions.shape[1]
     longest = int(jnp.max(jnp.where(P.filled[:, None], P.clips.length, 1), initial=1))
-    part = max(1, 1 << (longest - 1).bit_length() - 3)  # of the next power of two
+    part = 1 << max(0, (longest - 1).bit_length() - 3)  # an eighth of the next power of two
     return min(H, -(-longest // part) * part)
 
 

@@ -15,7 +15,7 @@ Source: Bradley and Terry (1952); Plackett (1975), Luce (1959); ordered logit, M
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -42,21 +42,17 @@ class Noise(eqx.Module):
     an answer, or one for each."""
 
 
-def scaled(
-    low: Float[Array, "..."], high: Float[Array, "..."], u: Float[Array, "..."], kappa: Scalar
-) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
-    """Both bounds as seen from u, in scales of the error, and the log of how much their distance takes off."""
-    a, b = (jnp.clip((bound - u) / kappa, -WIDE, WIDE) for bound in (low, high))
-    width = jnp.clip((high - low) / kappa, TINY, WIDE)
-    return a, b, jnp.log(-jnp.expm1(-width))
-
-
 def between(
     low: Float[Array, "..."], high: Float[Array, "..."], u: Float[Array, "..."], kappa: Scalar
 ) -> Float[Array, "..."]:
     """Log of the probability that u plus a logistic error of scale κ lies in [low, high]."""
-    a, b, narrow = scaled(low, high, u, kappa)
-    return narrow - jax.nn.softplus(-b) - jax.nn.softplus(a)
+    a, b = (jnp.clip((bound - u) / kappa, -WIDE, WIDE) for bound in (low, high))
+    return both_sides(low, high, kappa) - jax.nn.softplus(-b) - jax.nn.softplus(a)
+
+
+def both_sides(low: Float[Array, "..."], high: Float[Array, "..."], kappa: Scalar) -> Float[Array, "..."]:
+    """What log (F(b) - F(a)) is besides log F(b) + log (1 - F(a)), for the logistic distribution F."""
+    return jnp.log(-jnp.expm1(-jnp.clip((high - low) / kappa, TINY, WIDE)))
 
 
 def plackett_luce(u: Float[Array, " J"], items: Count, kappa: Scalar) -> Scalar:
@@ -111,56 +107,6 @@ def log_likelihood(u: Float[Array, " J"], said: Said, noise: Noise) -> Scalar:
     true, false = meant(u, said, noise), mistaken(u, said, noise)
     either = jnp.logaddexp(jnp.log1p(-noise.mistake) + true, jnp.log(jnp.maximum(noise.mistake, LEAST)) + false)
     return jnp.where(said.kind == Kind.NUMBER, true, either)
-
-
-class Terms(NamedTuple):
-    """Log likelihood of answers about one difference u each, and how it changes with u."""
-
-    value: Float[Array, " rows"]
-    slope: Float[Array, " rows"]
-    curvature: Float[Array, " rows"]
-    """Minus the second derivative, as `curvature` has it."""
-
-
-def level_terms(
-    low: Float[Array, " rows"], high: Float[Array, " rows"], u: Float[Array, " rows"], kappa: Scalar
-) -> Terms:
-    """`between` with its derivatives; for the logistic distribution F these are F(a) + F(b) - 1 and F′(a) + F′(b)."""
-    a, b, narrow = scaled(low, high, u, kappa)
-    (F_a, tail_a), (F_b, tail_b) = logistic(a), logistic(b)
-    value = narrow - jnp.maximum(a, 0.0) - tail_a - jnp.maximum(-b, 0.0) - tail_b
-    curvature = F_a * (1 - F_a) + F_b * (1 - F_b)
-    return Terms(value, (F_a + F_b - 1) / kappa, curvature / kappa**2)
-
-
-def logistic(x: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """F(x) of the standard logistic distribution, and log (1 + e^-|x|), which with it gives log F and log (1 - F)."""
-    e = jnp.exp(-jnp.abs(x))
-    return jnp.where(x > 0, 1.0, e) / (1 + e), jnp.log1p(e)
-
-
-def terms(u: Float[Array, " rows"], said: Said, noise: Noise) -> Terms:
-    """Log likelihood of a stack of answers, each about two clips or one, mistakes included."""
-    number, ranking = said.kind == Kind.NUMBER, said.kind == Kind.RANKING
-    g = jnp.where(number, said.low, 0.0)
-    low = jnp.where(ranking, 0.0, jnp.where(number, -1.0, said.low))  # a ranking of two is a choice
-    high = jnp.where(ranking, jnp.inf, jnp.where(number, 1.0, said.high))
-    alone = ranking & (said.items < 2)
-    true, turned = level_terms(low, high, u, noise.kappa), level_terms(low, high, -u, noise.kappa)
-    true = jax.tree.map(lambda x: jnp.where(alone, 0.0, x), true)
-    any_order = Terms(-jax.lax.lgamma(said.items + 1.0), jnp.zeros(()), jnp.zeros(()))
-    false = Terms(turned.value, -turned.slope, turned.curvature)
-    false = jax.tree.map(lambda x, y: jnp.where(ranking, x, y), any_order, false)
-    erring = jnp.log(jnp.maximum(noise.mistake, LEAST)) + false.value
-    meaning = jnp.log1p(-noise.mistake) + true.value
-    wrong, tail = logistic(erring - meaning)
-    value = jnp.maximum(meaning, erring) + tail
-    mixed = lambda x, y: (1 - wrong) * x + wrong * y
-    either = Terms(value, mixed(true.slope, false.slope), mixed(true.curvature, false.curvature))
-    exact = Terms(
-        -0.5 * (u - g) ** 2 / noise.var - 0.5 * jnp.log(2 * jnp.pi * noise.var), (g - u) / noise.var, 1 / noise.var
-    )
-    return jax.tree.map(lambda x, y: jnp.where(number, x, y), exact, either)
 
 
 def responsibility(u: Float[Array, " J"], said: Said, noise: Noise) -> Scalar:

@@ -19,12 +19,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from hiprl.data.preference import Kind, Said
-from hiprl.models.likelihood import Noise, curvature, for_each, log_likelihood, terms
+from hiprl.models.averaged import MOST, averaged
+from hiprl.models.averaged import left_out as averaged_left_out
+from hiprl.models.likelihood import Noise, curvature, for_each, log_likelihood
 from hiprl.types import Count, Scalar
 
 JITTER = 1e-10
-NODES = 11  # of the quadrature over one value
-DRAWS = 24  # pairs of points over several
+WIDER, STEPS = (10.0, 3.0, 1.0), 6  # how much less exact a judge is on the way from no belief, and steps for each
+DRAWS = 24  # pairs of points over several values
 
 
 class Belief(NamedTuple):
@@ -58,9 +60,6 @@ class Posterior(NamedTuple):
 
 def points(J: int) -> tuple[np.ndarray, np.ndarray]:
     """Points and weights with which the mean over a standard normal in J dimensions is taken."""
-    if J == 1:
-        x, w = np.polynomial.hermite_e.hermegauss(NODES)
-        return x[:, None], w / w.sum()
     half = np.random.default_rng(0).normal(size=(DRAWS, J))
     x = np.concatenate([half, -half])
     x = x @ np.linalg.inv(np.linalg.cholesky(x.T @ x / len(x))).T  # their covariance is exactly one
@@ -121,8 +120,9 @@ def over_belief(f: Float[Array, " n"], S: Float[Array, "rows J J"], given: Answe
     """Mean of the log likelihood, of its slope and of its curvature over the belief, for each row."""
     said, filled, noise = given
     rows, J, _ = S.shape
-    if J == 1:  # the common case, with derivatives written out
-        return one_value(f, S[:, 0, 0], given)
+    if J == 1:  # the common case, in closed form
+        value, slope, bend = (jnp.where(filled, x, 0.0) for x in averaged(f, S[:, 0, 0], said, noise))
+        return value, slope, bend[:, None, None]
     z, weights = (jnp.asarray(x, f.dtype) for x in points(J))
     L = jnp.linalg.cholesky(S + JITTER * jnp.eye(J, dtype=f.dtype)[None])
     u = f.reshape(1, rows, J) + jnp.einsum("rij,zj->zri", L, z)
@@ -130,25 +130,6 @@ def over_belief(f: Float[Array, " n"], S: Float[Array, "rows J J"], given: Answe
     value = jnp.where(filled, mean(log_likelihood), 0.0)
     slope = jnp.where(filled[:, None], mean(jax.grad(log_likelihood)), 0.0)
     return value, slope.reshape(-1), jnp.where(filled[:, None, None], mean(curvature), 0.0)
-
-
-def one_value(f: Float[Array, " rows"], var: Float[Array, " rows"], given: Answers):
-    """`over_belief` where each answer is about one value; by quadrature in float32, which is enough for an average."""
-    said, filled, noise = given
-    narrow = lambda x: x.astype(jnp.float32)
-    z, weights = (jnp.asarray(x, jnp.float32) for x in points(1))
-    u = narrow(f)[None] + narrow(jnp.sqrt(var + JITTER))[None] * z
-    short = Said(said.kind, narrow(said.low), narrow(said.high), said.items)
-    found = jax.vmap(lambda u: terms(u, short, jax.tree.map(narrow, noise)))(u)
-    numbers, error = said.kind == Kind.NUMBER, jnp.where(said.kind == Kind.NUMBER, said.low, 0.0) - f
-    exact = (
-        -0.5 * (error**2 + var) / noise.var - 0.5 * jnp.log(2 * jnp.pi * noise.var),
-        error / noise.var,
-        jnp.broadcast_to(1 / noise.var, f.shape),
-    )
-    either = lambda x, y: jnp.where(filled, jnp.where(numbers, x, (weights @ y).astype(f.dtype)), 0.0)
-    value, slope, bend = (either(x, y) for x, y in zip(exact, found, strict=True))
-    return value, slope, bend[:, None, None]
 
 
 def by_block(M: Float[Array, "rows J J"], X: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
@@ -210,7 +191,7 @@ def improved(
         here, there = (at, slope, bend), (climb.best, climb.slope, climb.bend)
         best, slope, bend = jax.tree.map(lambda x, y: jnp.where(good, x, y), here, there)
         step = jnp.where(good, jnp.minimum(1.0, 2 * climb.step), climb.step / 4)
-        gain = jnp.where(good & (climb.number > 0), gain, jnp.inf)  # not there yet
+        gain = jnp.where(good & (climb.number > 0), gain / climb.step, jnp.inf)  # not there yet
         return Climb(climb.number, at, best, slope, bend, gain, step)
 
     def newton(climb: Climb) -> Climb:
@@ -223,6 +204,23 @@ def improved(
     begin = Climb(jnp.zeros((), jnp.int32), here, here, *nothing, of(jnp.inf), of(1.0))
     going = lambda climb: (climb.number < steps) & (climb.gain > enough)
     return jax.lax.while_loop(going, newton, looked(begin)).best
+
+
+def begun(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Belief:
+    """Where to begin: the better of a belief under another prior, and of one that is reached from none.
+
+    The first is mostly near. Where it is far off, good answers would be explained as mistakes from there on. The way
+    to the second leads past answers of judges who are less exact and never mistaken: those have one explanation only.
+    """
+
+    def on_the_way(belief: Belief, wider: Scalar) -> tuple[Belief, None]:
+        noise = Noise(given.noise.kappa * wider, given.noise.var, jnp.where(wider > 1, 0.0, given.noise.mistake))
+        return improved(A, given._replace(noise=noise), belief, steps=STEPS, enough=1.0), None
+
+    widths = jnp.asarray(WIDER, A.dtype)
+    cold, _ = jax.lax.scan(on_the_way, unknown(A, given.filled.shape[0]), widths)
+    warm = improved(A, given, belief, steps=STEPS, enough=1.0)
+    return jax.tree.map(lambda x, y: jnp.where(warm.evidence >= cold.evidence, x, y), warm, cold)
 
 
 def divergence(z: Float[Array, " r"], belief: Belief) -> Scalar:
@@ -238,17 +236,20 @@ def left_out(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Scalar:
     """
     said, filled, noise = given
     rows, J, _ = belief.S.shape
+    f = A @ (A.T @ belief.dual)
+    if J == 1:
+        rest = averaged_left_out(f, belief.S[:, 0, 0], belief.dual, belief.W[:, 0, 0], said, noise)
+        return jnp.sum(jnp.where(filled, rest, 0.0))
     z, weights = (jnp.asarray(x, A.dtype) for x in points(J))
     L = jnp.linalg.cholesky(belief.S + JITTER * jnp.eye(J, dtype=A.dtype)[None])
-    u = (A @ (A.T @ belief.dual)).reshape(1, rows, J) + jnp.einsum("rij,zj->zri", L, z)
-    each = lambda u: terms(u[:, 0], said, noise).value if J == 1 else for_each(log_likelihood, u, said, noise)
-    value = jax.vmap(each)(u)
+    u = f.reshape(1, rows, J) + jnp.einsum("rij,zj->zri", L, z)
+    value = jax.vmap(lambda u: for_each(log_likelihood, u, said, noise))(u)
     value = value - (weights @ value)[None]
     linear = jnp.einsum("z,zr,zi->ri", weights, value, z)
     quadratic = jnp.einsum("z,zr,zi,zj->rij", weights, value, z, z)
     rest = weights @ value**2 - jnp.sum(linear**2, axis=1) - 0.5 * jnp.sum(quadratic**2, axis=(1, 2))
     counted = filled & (said.kind != Kind.NUMBER)
-    return 0.5 * jnp.sum(jnp.where(counted, jnp.maximum(rest, 0.0), 0.0))
+    return jnp.sum(jnp.where(counted, jnp.clip(0.5 * rest, 0.0, MOST), 0.0))
 
 
 def posterior_of(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Posterior:
