@@ -11,6 +11,7 @@ Fine and Scheinberg (2001) for A.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -22,10 +23,10 @@ from hiprl.data.preference import Kind, Said
 from hiprl.models.averaged import MOST, averaged
 from hiprl.models.averaged import left_out as averaged_left_out
 from hiprl.models.likelihood import Noise, curvature, for_each, log_likelihood
-from hiprl.types import Count, Scalar
+from hiprl.types import Count, Flag, Scalar
 
 JITTER = 1e-10
-WIDER, STEPS = (10.0, 3.0, 1.0), 6  # how much less exact a judge is on the way from no belief, and steps for each
+WIDER, STEPS = (10.0, 3.0), 6  # how much less exact a judge is on the way from no belief, and steps for each
 DRAWS = 24  # pairs of points over several values
 
 
@@ -213,14 +214,17 @@ def begun(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Belief:
     to the second leads past answers of judges who are less exact and never mistaken: those have one explanation only.
     """
 
-    def on_the_way(belief: Belief, wider: Scalar) -> tuple[Belief, None]:
+    def on_the_way(before: Belief, stage: tuple[Scalar, Flag]) -> tuple[Belief, Belief]:
+        wider, last = stage
         noise = Noise(given.noise.kappa * wider, given.noise.var, jnp.where(wider > 1, 0.0, given.noise.mistake))
-        return improved(A, given._replace(noise=noise), belief, steps=STEPS, enough=1.0), None
+        start = jax.tree.map(partial(jnp.where, last), belief, before)
+        after = improved(A, given._replace(noise=noise), start, steps=STEPS, enough=1.0)
+        return after, after
 
-    widths = jnp.asarray(WIDER, A.dtype)
-    cold, _ = jax.lax.scan(on_the_way, unknown(A, given.filled.shape[0]), widths)
-    warm = improved(A, given, belief, steps=STEPS, enough=1.0)
-    return jax.tree.map(lambda x, y: jnp.where(warm.evidence >= cold.evidence, x, y), warm, cold)
+    stages = jnp.asarray([*WIDER, 1.0, 1.0], A.dtype), jnp.arange(len(WIDER) + 2) > len(WIDER)
+    _, found = jax.lax.scan(on_the_way, unknown(A, given.filled.shape[0]), stages)  # one loop is compiled once
+    best = len(WIDER) + jnp.argmax(found.evidence[len(WIDER) :])
+    return jax.tree.map(lambda x: x[best], found)
 
 
 def divergence(z: Float[Array, " r"], belief: Belief) -> Scalar:
