@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import time
 from pathlib import Path
 
 import pytest
@@ -32,6 +34,35 @@ def test_a_taught_run_is_resumed_with_its_page_where_it_was(tmp_path: Path) -> N
         assert typed("resume", "a-run", store, Resume(run="a", port=0)) == "hiprl resume a-run --port 0"
         assert typed("show", "a-run", store, there) == "hiprl show a-run"
         assert typed("resume", "a-run", store, Teach(env="linear")) == "hiprl resume a-run"
+
+
+def test_a_page_that_ends_by_itself_is_missed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pages: list[subprocess.Popen[bytes]] = []
+    begin = subprocess.Popen
+
+    def began(*words, **options):
+        pages.append(begin(*words, **options))
+        return pages[-1]
+
+    monkeypatch.setattr(teaching.subprocess, "Popen", began)
+    monkeypatch.setattr(teaching, "follow", lambda *_: {})
+    there = Teach(env="linear", port=8790, store=str(tmp_path / "runs.db"), no_browser=True)
+    teaching.teach(there)  # its own end is no news
+    assert "has ended" not in capsys.readouterr().err
+
+    def missed(*_):
+        pages[-1].kill()
+        said, until = "", time.monotonic() + 30
+        while "has ended" not in said and time.monotonic() < until:
+            said += capsys.readouterr().err
+        return {"said": said}
+
+    monkeypatch.setattr(teaching, "follow", missed)
+    said = teaching.teach(there)["said"]
+    assert "The page has ended (exit -9); what was answered is stored, and the run goes on." in said
+    assert "hiprl serve linear-" in said and "--port 8790" in said
 
 
 def test_a_page_for_all_is_told_by_the_name_of_the_machine() -> None:

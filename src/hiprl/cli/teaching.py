@@ -6,6 +6,7 @@ import contextlib
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ from hiprl.api import new_store, world_of
 from hiprl.cli.commands import Facts, Resume, Teach
 from hiprl.cli.interrupt import stoppable
 from hiprl.cli.progress import progress
-from hiprl.cli.serving import WITH_PARENT, listening
+from hiprl.cli.serving import WITH_PARENT, listening, say
 from hiprl.cli.training import outcome, tell, typed
 from hiprl.config import PEOPLE, Config, teachable
 from hiprl.errors import InputError
@@ -41,7 +42,7 @@ def teach(command: Teach) -> Facts:
         run_id = start(store, world, spec)
         if command.goal is not None:
             store.set_goal(run_id, command.goal)
-        with page(run_id, command):
+        with page(run_id, store, command):
             return follow(store, run_id, world, command)
 
 
@@ -53,23 +54,34 @@ def resume(store: Store, row: RunRow, command: Resume) -> Facts:
             "judge. Leave it out: the run's page shows the same."
         )
     world = world_of(row, terminates=command.terminates)
-    with page(row.id, command):
+    with page(row.id, store, command):
         return follow(store, row.id, world, command)
 
 
 @contextlib.contextmanager
-def page(run_id: str, command: Teach | Resume) -> Iterator[None]:
-    """The page, in a process of its own, for as long as this one lives."""
+def page(run_id: str, store: Store, command: Teach | Resume) -> Iterator[None]:
+    """The page, in a process of its own, for as long as this one lives; where it ends before, that is said."""
     if command.port == 0:
         yield
         return
     listening(command.host, command.port).close()  # what is wrong with them is better said at once
     words = [sys.executable, "-m", "hiprl", "serve", run_id, "--store", command.store]
     words += ["--host", command.host, "--port", str(command.port)] + ([] if command.no_browser else ["--browser"])
-    process = subprocess.Popen(words, stdin=subprocess.PIPE, env=os.environ | {WITH_PARENT: "1"})
+    own = os.environ | {WITH_PARENT: "1"}
+    process = subprocess.Popen(words, stdin=subprocess.PIPE, env=own, start_new_session=True)  # Ctrl-C is for this one
+    ending = threading.Event()
+
+    def told_if_it_ends() -> None:
+        code = process.wait()
+        if not ending.is_set():
+            open_it = typed("serve", run_id, store, command)
+            say(f"The page has ended (exit {code}); what was answered is stored, and the run goes on. Again: {open_it}")
+
+    threading.Thread(target=told_if_it_ends, daemon=True).start()
     try:
         yield
     finally:
+        ending.set()
         assert process.stdin is not None
         process.stdin.close()
         with contextlib.suppress(subprocess.TimeoutExpired):

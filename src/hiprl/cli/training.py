@@ -133,10 +133,10 @@ def typed(verb: str, run_id: str, store: Store, command: Train | Resume | Teach)
         words += ["--store", store.name]
     if verb == "resume" and not isinstance(command, Teach) and command.tensorboard is not None:
         words += ["--tensorboard", command.tensorboard]
-    if verb == "resume" and not isinstance(command, Train):  # where the page was
+    if verb in ("resume", "serve") and not isinstance(command, Train):  # where the page was
         words += [] if command.host == HOST else ["--host", command.host]
         words += [] if command.port == PORT else ["--port", str(command.port)]
-        words += ["--no-browser"] if command.no_browser else []
+        words += ["--no-browser"] if command.no_browser and verb == "resume" else []
     if verb == "resume" and command.json:
         words += ["--json"]
     return shlex.join(words)
