@@ -27,7 +27,7 @@ def new_reward(P: Preferences, T: Trajectories, config: RewardConfig, *, key: Ke
     """The reward before any answer."""
     if isinstance(config, NetworkConfig):
         return new_network_reward(T, config, key=key)
-    return estimate_additive_reward(P, T, config)
+    return estimate_additive_reward(P, T, config, longest=1)
 
 
 def estimate_reward(

@@ -79,15 +79,20 @@ class Evidence(NamedTuple):
     """Ψ: the sum of φ over each clip of an answer less that over its last one."""
 
 
-def evidence(T: Trajectories, P: Preferences) -> Evidence:
+def evidence(T: Trajectories, P: Preferences, *, longest: int | None = None) -> Evidence:
     """Features of T, and what they are of its steps and of what the answers in P compare, ratings included.
 
-    Not to be traced: put into one program, its parts would each put the steps side by side anew.
+    Best not traced: put into one program, its parts would each put the steps side by side anew.
+
+    Args:
+        T: the trajectories.
+        P: the answers about them.
+        longest: steps of the longest clip, where all answers are known to be numbers; P is looked at if None.
     """
-    every, longest = steps_of(T), most_steps(P, T)
-    features = features_of(every)
+    every, rated = steps_of(T), longest is None and Kind.RATING in kinds_in(P)
+    features, longest = features_of(every), longest or most_steps(P, T)
     Psi = _differences(features, T, P, steps=longest)
-    if Kind.RATING in kinds_in(P):
+    if rated:
         Psi = _with_ratings(features, T, P, Psi, longest=longest)
     return Evidence(features, columns(features, every.x), Psi)
 

@@ -152,17 +152,20 @@ def sums_of(features: AdditiveFeatures, T: Trajectories, weights: Float[Array, "
     return jnp.sum(jnp.where(jax.vmap(Trajectory.transitions)(T.rows).mask, each, 0.0), axis=1)
 
 
-def estimate_additive_reward(P: Preferences, T: Trajectories, config: AdditiveConfig) -> AdditiveReward:
+def estimate_additive_reward(
+    P: Preferences, T: Trajectories, config: AdditiveConfig, *, longest: int | None = None
+) -> AdditiveReward:
     """Posterior of the additive reward given answers that are all numbers, its scales chosen by marginal likelihood.
 
     Args:
         P: the answers.
         T: the trajectories they are about.
         config: candidates for the scales.
+        longest: steps of the longest clip; P is looked at if None, which nothing that is traced can do.
 
     Source: HIP-RL eq. (7) and Theorem 4.3; the posterior of a linear model observed through sums.
     """
-    seen = evidence(T, P)
+    seen = evidence(T, P, longest=longest)
     priors = priors_of(seen.features, config.kernels)
     with jax.enable_x64(True):  # Cholesky of nearly dependent rows: answers are almost free of noise
         posterior = _posterior(
