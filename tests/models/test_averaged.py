@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from hiprl.data.answer import choice, level, number, ranking
-from hiprl.models.averaged import averaged, left_out, probability
+from hiprl.models.averaged import averaged, beyond_gaussian, probability
 from hiprl.models.likelihood import Noise, curvature, for_each, log_likelihood, meant
 from tests.models.test_variational import stacked
 
@@ -54,7 +54,7 @@ def test_a_number_is_read_exactly():
     assert float(value[0]) == pytest.approx(DENSITY @ mean, rel=1e-3)
     assert float(slope[0]) == pytest.approx(0.3 / 0.04, rel=1e-4)
     assert float(np.ravel(bend)[0]) == pytest.approx(25.0, rel=1e-4)
-    assert float(left_out(*map(jnp.float32, ([0.2], [0.3], [7.5], [2.5])), told, how)[0]) == 0
+    assert float(beyond_gaussian(*map(jnp.float32, ([0.2], [0.3], [7.5], [2.5])), told, how)[0]) == 0
 
 
 def test_bounds_that_are_infinite_say_that_anything_goes():

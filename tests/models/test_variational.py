@@ -171,13 +171,19 @@ def test_the_evidence_of_numbers_is_their_density():
     assert float(found) == pytest.approx(density, rel=2e-3)
 
 
-def test_a_step_that_makes_it_worse_is_taken_back():
-    rng = np.random.default_rng(2)
-    Psi, kappa = rng.normal(size=(60, 5)), 0.03
-    u = 0.4 * Psi @ rng.normal(size=5) + kappa * rng.logistic(size=60)
+def exactly_judged(rows, D, *, size, seed):
+    """Features, and five-level answers about them of a judge who is nearly exact."""
+    rng, kappa = np.random.default_rng(seed), 0.03
+    Psi = rng.normal(size=(rows, D))
+    u = size * Psi @ rng.normal(size=D) + kappa * rng.logistic(size=rows)
     told = stacked([level(float(np.clip(np.round(2 * x), -2, 2)), 5) for x in u])
-    how = Noise(jnp.float32(kappa), jnp.float32(1e-2), jnp.full(60, 0.02, jnp.float32))
-    A, given = jnp.float32(3 * Psi), Answers(told, jnp.ones(60, bool), how)
+    how = Noise(jnp.float32(kappa), jnp.float32(1e-2), jnp.full(rows, 0.02, jnp.float32))
+    return jnp.float32(Psi), Answers(told, jnp.ones(rows, bool), how)
+
+
+def test_a_step_that_makes_it_worse_is_taken_back():
+    Psi, given = exactly_judged(60, 5, size=0.4, seed=2)
+    A = 3 * Psi
     reached = jax.jit(lambda steps: improved(A, given, unknown(A, 60), steps=steps).evidence)
     found = [float(reached(steps)) for steps in (1, 4, 8, 16, 32)]
     assert found == sorted(found)
@@ -185,12 +191,7 @@ def test_a_step_that_makes_it_worse_is_taken_back():
 
 
 def test_a_belief_that_is_far_off_is_not_where_the_steps_begin():
-    rng = np.random.default_rng(4)
-    Psi, kappa = rng.normal(size=(30, 4)), 0.03
-    u = 0.5 * Psi @ rng.normal(size=4) + kappa * rng.logistic(size=30)
-    told = stacked([level(float(np.clip(np.round(2 * x), -2, 2)), 5) for x in u])
-    how = Noise(jnp.float32(kappa), jnp.float32(1e-2), jnp.full(30, 0.02, jnp.float32))
-    A, given = jnp.float32(Psi), Answers(told, jnp.ones(30, bool), how)
+    A, given = exactly_judged(30, 4, size=0.5, seed=4)
     to_the_end = jax.jit(lambda belief: improved(A, given, belief, steps=40))
     right = to_the_end(begun(A, given, unknown(A, 30)))
     wrong = right._replace(dual=-3 * right.dual)  # the other way round, and sure of it

@@ -260,9 +260,10 @@ def _search(
         number = problem.number_unit(prior) if numbers else jnp.ones((), flat.dtype)
         return Under(factor_of(flat, prior, columns), number)
 
-    def in_units(at: At, kernel: Under, unit: Float[Array, " K"]) -> Float[Array, "KJ rank"]:
-        """Factor of the prior covariance of the values, each in the unit of its answer."""
-        return jnp.concatenate([weights(at, unit)[:, None] * kernel.factor, problem.offset], axis=1)
+    def in_units(at: At, kernel: Under, now: Round) -> tuple[Float[Array, "KJ rank"], Answers]:
+        """Factor of the prior covariance of the values, each in the unit of its answer, and the answers."""
+        A = jnp.concatenate([weights(at, now.unit)[:, None] * kernel.factor, problem.offset], axis=1)
+        return A, problem.answers(at, kernel.number, now.mistakes)
 
     def carried(belief: Belief, before: Array, now: Array) -> Belief:
         """The same belief about θ, in other units."""
@@ -274,7 +275,7 @@ def _search(
         i = jnp.clip(jnp.where(nearby, found.at[axis] + to, to), 0, jnp.asarray(sizes)[axis] - 1)
         at = found.at.at[axis].set(i)
         kernel = jax.lax.cond(axis == 1, lambda: under(i, before.relevance), lambda: found.under)
-        A, given = in_units(at, kernel, before.unit), problem.answers(at, kernel.number, before.mistakes)
+        A, given = in_units(at, kernel, before)
         belief = carried(found.belief, weights(found.at, before.unit), weights(at, before.unit))
         belief = improved(A, given, belief, steps=STEPS, enough=ENOUGH)
         score = belief.evidence + left_out(A, given, belief) + problem.log_prior[at[1]]
@@ -294,14 +295,13 @@ def _search(
     def one_round(before: Round) -> Round:
         """The best candidate, and units, mistakes and relevance by what was found."""
         unit, mistakes, relevance = before.unit, before.mistakes, before.relevance
-        kernel, at = under(before.found.at[1], relevance), before.found.at
-        A, given = in_units(at, kernel, unit), problem.answers(at, kernel.number, mistakes)
-        none = jnp.full_like(before.found.score, -jnp.inf)
-        start = before.found._replace(under=kernel, score=none, belief=begun(A, given, before.found.belief))
+        kernel, none = under(before.found.at[1], relevance), jnp.full_like(before.found.score, -jnp.inf)
+        belief = begun(*in_units(before.found.at, kernel, before), before.found.belief)
+        start = before.found._replace(under=kernel, score=none, belief=belief)
         begin, end = looks[before.look]
         found = jax.lax.fori_loop(begin, end, lambda i, found: tried(before, visits[i], found), start)
         prior, weight = problem.prior(found.at[1], relevance), weights(found.at, unit)
-        A, given = in_units(found.at, found.under, unit), problem.answers(found.at, found.under.number, mistakes)
+        A, given = in_units(found.at, found.under, before)
         mean = prior * (flat.T @ (weight * found.belief.dual))  # but for the unit of numbers, which changes no ratio
         root = ((posterior_of(A, given, found.belief).root * weight[None]) @ flat) * prior[None]
         r = values(seen.features, seen.X, mean.astype(seen.X.dtype)).reshape(mask.shape)
@@ -323,7 +323,7 @@ def _search(
     relevance = jnp.ones_like(seen.features.low, flat.dtype)
     mistakes = jnp.full(JUDGES, MISTAKE, flat.dtype)
     kernel = under(middle[1], relevance)
-    found = Found(middle, kernel, unknown(in_units(middle, kernel, unit), K), nowhere[0], nowhere[1:])
+    found = Found(middle, kernel, unknown(kernel.factor, K), nowhere[0], nowhere[1:])
     zero = jnp.zeros((), jnp.int32)
     start = Round(zero, zero + Look.ALL, unit, mistakes, relevance, found)
     return jax.lax.while_loop(lambda now: now.look != Look.NONE, one_round, start)

@@ -3,7 +3,8 @@
 A logistic error is, but for 1.1e-4 in its distribution function and in that function's derivative and integral, a
 mixture of three Gaussians. Convolved with the belief it stays one, so that no average needs quadrature: which few nodes
 would get wrong where a belief is wide and the judge exact. Whether an answer was a mistake is believed by itself.
-Source: Monahan and Stefanski (1992) for the mixture; Opper, Paquet and Winther (2013) for `left_out`.
+Source: Monahan and Stefanski (1992) for the mixture; Opper, Paquet and Winther (2013) for
+`beyond_gaussian`.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def averaged(mean: Rows, var: Rows, said: Said, noise: Noise) -> Averaged:
     return jax.tree.map(lambda x, y: jnp.where(number, x, y), exact, either)
 
 
-def left_out(mean: Rows, var: Rows, slope: Rows, curvature: Rows, said: Said, noise: Noise) -> Rows:
+def beyond_gaussian(mean: Rows, var: Rows, slope: Rows, curvature: Rows, said: Said, noise: Noise) -> Rows:
     """By how much the log of the mean of each likelihood exceeds `averaged`, but for what a Gaussian has of it.
 
     That is the likelihood over the Gaussian that the belief has in its place, averaged over the belief: 0 for a number.

@@ -40,9 +40,9 @@ def estimate_reward(
     Raises:
         InputError: networks were given answers that are not numbers about whole trajectories.
     """
-    numbers, steps = P.only_numbers(), most_steps(P, T)
+    numbers = P.only_numbers()
     if isinstance(config, NetworkConfig):
-        if not numbers or steps < T.rows.actions.shape[1]:
+        if not numbers or most_steps(P, T) < T.rows.actions.shape[1]:
             raise InputError(
                 "got answers that are not numbers about whole trajectories; the paper's reward network learns from "
                 "such numbers alone. Take the default reward, or `--judge exact` without `--clip`."

@@ -20,8 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from hiprl.data.preference import Kind, Said
-from hiprl.models.averaged import MOST, averaged
-from hiprl.models.averaged import left_out as averaged_left_out
+from hiprl.models.averaged import MOST, averaged, beyond_gaussian
 from hiprl.models.likelihood import Noise, curvature, for_each, log_likelihood
 from hiprl.types import Count, Flag, Scalar
 
@@ -153,7 +152,7 @@ class Climb(NamedTuple):
     """Of the mean log likelihood there."""
     bend: Float[Array, "rows J J"]
     gain: Scalar
-    """By how much the last step was better."""
+    """By how much the last step was better, if it had been a whole one."""
     step: Scalar
     """Share of the way of the next step."""
 
@@ -168,7 +167,7 @@ def improved(
         given: the answers.
         belief: where to begin: `unknown`, or what was believed under another prior.
         steps: Newton steps, at most.
-        enough: gain of a step in nats below which it is the last.
+        enough: gain of a whole step in nats below which it is the last.
     """
     rows, eye = given.filled.shape[0], jnp.eye(A.shape[1], dtype=A.dtype)
 
@@ -233,16 +232,17 @@ def divergence(z: Float[Array, " r"], belief: Belief) -> Scalar:
 
 
 def left_out(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Scalar:
-    """By how much the bound is too low, to second order and for each answer by itself.
+    """By how much the bound is too low, each answer by itself: in closed form, or of several values to second order.
 
-    Half the variance over the belief of what is neither linear nor quadratic in a log likelihood. Without it, scales
-    would be found too small: the larger they are, the less a belief after a choice looks like a Gaussian.
+    The second order is half the variance over the belief of what is neither linear nor quadratic in a log likelihood.
+    Without all this, scales would be found too small: the larger they are, the less a belief after a choice looks like
+    a Gaussian.
     """
     said, filled, noise = given
     rows, J, _ = belief.S.shape
     f = A @ (A.T @ belief.dual)
     if J == 1:
-        rest = averaged_left_out(f, belief.S[:, 0, 0], belief.dual, belief.W[:, 0, 0], said, noise)
+        rest = beyond_gaussian(f, belief.S[:, 0, 0], belief.dual, belief.W[:, 0, 0], said, noise)
         return jnp.sum(jnp.where(filled, rest, 0.0))
     z, weights = (jnp.asarray(x, A.dtype) for x in points(J))
     L = jnp.linalg.cholesky(belief.S + JITTER * jnp.eye(J, dtype=A.dtype)[None])
