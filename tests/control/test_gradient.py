@@ -1,3 +1,4 @@
+from copy import copy
 from dataclasses import replace
 from functools import partial
 
@@ -33,6 +34,14 @@ CONFIG = GradientConfig(
 )
 TWO = np.array([0.3, -0.5])
 NONE = jnp.asarray(0)
+
+
+def traced(config, **settings):
+    """The config with settings that only the compiled search gets to know, so that one is compiled for all."""
+    config = copy(config)
+    for name, value in settings.items():
+        object.__setattr__(config, name, value)  # where `replace` would want a float
+    return config
 
 
 @pytest.fixture(scope="module")
@@ -154,34 +163,31 @@ def test_the_same_key_finds_the_same_policy(search):
     assert any((x != y).any() for x, y in zip(jax.tree.leaves(one), jax.tree.leaves(third), strict=True))
 
 
-def test_a_search_goes_less_far_from_where_others_went_wrong():
-    config = replace(CONFIG, updates=20, policy_rate=1e-3)
-    reward = quadratic(R=np.eye(q), c=TWO)
+@pytest.fixture(scope="module")
+def short_search():
+    """One compiled search of few updates, of any learning rate and after any setbacks."""
+    config, reward = replace(CONFIG, updates=20), quadratic(R=np.eye(q), c=TWO)
 
     @jax.jit
-    def search(state, key, setbacks):
-        settings = {"H": 1000, "setbacks": setbacks, "key": key}
-        return gradient_search(known(), reward, jnp.asarray(1.0), None, starts(), state, config, **settings)
+    def compiled(state, rate, setbacks):
+        settings = {"config": traced(config, policy_rate=rate), "H": 1000, "setbacks": setbacks, "key": jr.key(2)}
+        return gradient_search(known(), reward, jnp.asarray(1.0), None, starts(), state, **settings)
 
+    return compiled
+
+
+def test_a_search_goes_less_far_from_where_others_went_wrong(short_search):
     whole, half, quarter, none = (
-        modes(search(blank(), jr.key(2), jnp.asarray(setbacks))[0], starts().seen) for setbacks in (0, 1, 2, 40)
+        modes(short_search(blank(), 1e-3, jnp.asarray(setbacks))[0], starts().seen) for setbacks in (0, 1, 2, 40)
     )
     assert (whole != half).any()  # two chunks, then one, and no less
     np.testing.assert_array_equal(half, quarter)
     np.testing.assert_array_equal(half, none)
 
 
-def test_where_a_search_begins_is_not_executed_again():
-    config = replace(CONFIG, updates=20, policy_rate=1e-3)
-    reward = quadratic(R=np.eye(q), c=TWO)
-
-    @partial(jax.jit, static_argnames=("config",))
-    def search(state, config):
-        settings = {"H": 1000, "setbacks": NONE, "key": jr.key(2)}
-        return gradient_search(known(), reward, jnp.asarray(1.0), None, starts(), state, config, **settings)
-
-    good, report = search(blank(), config)
-    other, worse = search(good, replace(config, policy_rate=1.0))
+def test_where_a_search_begins_is_not_executed_again(short_search):
+    good, report = short_search(blank(), 1e-3, NONE)
+    other, worse = short_search(good, 1.0, NONE)
     assert (modes(other, starts().seen) != modes(good, starts().seen)).any()
     assert float(worse.worst) < float(report.worst)
 
@@ -193,22 +199,31 @@ class One(Reward):
         return jnp.ones(())
 
 
-def value_after(ends=None, state=None, f_tilde=None, reward=None, **settings):
+@partial(jax.jit, static_argnames=("ends", "settling"))
+def still(f_tilde, reward, ends, state, raised, offset_rate, going_on, *, settling):
+    """A search whose policy does not move, and whose value begins so high."""
+    config = replace(CONFIG, chunks=1, updates=1, policy_rate=0.0, settling=settling)
+    config = traced(config, offset_rate=offset_rate, going_on=going_on)
+    with pytest.MonkeyPatch.context() as patch:  # as the search is traced
+        begins = lambda *args, **rest: new_value(*args, **rest).raised(raised)
+        patch.setattr("hiprl.control.gradient.new_value", begins)
+        more = {"H": 1000, "setbacks": NONE, "key": jr.key(2)}
+        return gradient_search(f_tilde, reward, jnp.asarray(1.0), ends, starts(), state, config, **more)[0]
+
+
+def value_after(
+    *, ends=None, state=None, f_tilde=None, reward=None, settling, raised=0.0, offset_rate=0.1, going_on=0.5
+):
     """V, in its own unit, of a search whose policy does not move; where nothing else is said, a step is worth 1."""
-    config = replace(CONFIG, chunks=1, updates=1, policy_rate=0.0, **settings)
-    more = {"H": 1000, "setbacks": NONE, "key": jr.key(2)}
-    found, _ = jax.jit(partial(gradient_search, config=config, **more))(
-        f_tilde or known(), reward or One(), jnp.asarray(1.0), ends, starts(), state or blank()
-    )
+    places = f_tilde or known(), reward or One(), ends, state or blank()
+    found = still(*places, raised, offset_rate, going_on, settling=settling)
     return np.asarray(jax.vmap(found.value)(starts().seen)) * (1 - CONFIG.gamma)
 
 
 @pytest.mark.parametrize("ends", [None, Partial(lambda s, a, s_next: s[0] > 0)])
-def test_a_value_that_is_off_everywhere_is_mended_before_the_policy_moves(ends, monkeypatch):
+def test_a_value_that_is_off_everywhere_is_mended_before_the_policy_moves(ends):
     """As where rewards have a mean: zero, at which it begins, is far off then."""
-    far_off = lambda *args, **rest: new_value(*args, **rest).raised(jnp.asarray(30.0))
-    monkeypatch.setattr("hiprl.control.gradient.new_value", far_off)
-    after = partial(value_after, ends)
+    after = partial(value_after, ends=ends, raised=30.0)
     before, slowly, soon = after(settling=0), after(settling=40, offset_rate=0.0), after(settling=40)
     truth = np.ones(len(soon)) if ends is None else np.where(starts().seen[:, 0] > 0, 1 - CONFIG.gamma, 1.0)
     off_by = lambda value: np.mean(np.abs(value - truth))
@@ -219,7 +234,7 @@ def test_a_value_that_is_off_everywhere_is_mended_before_the_policy_moves(ends, 
 def test_what_an_earlier_search_believed_of_values_does_not_matter():
     """It is of another model and another r̂, and may have run away."""
     believed = eqx.tree_at(lambda state: state.value, blank(), blank().value.raised(jnp.asarray(1e6)))
-    np.testing.assert_array_equal(value_after(state=believed), value_after())
+    np.testing.assert_array_equal(value_after(state=believed, settling=40), value_after(settling=40))
 
 
 class Far(Reward):
@@ -231,7 +246,8 @@ class Far(Reward):
 
 def test_the_value_holds_where_rollouts_lead_and_not_only_where_they_begin():
     """States grow by 1.3 a step: five are not enough to come from what was seen to where the reward is."""
-    after = lambda share: value_after(f_tilde=known(A=1.3 * np.eye(p)), reward=Far(), settling=300, going_on=share)
+    grows = known(A=1.3 * np.eye(p))
+    after = lambda share: value_after(f_tilde=grows, reward=Far(), settling=300, going_on=share)
     assert np.abs(after(0.0)).mean() > 2  # each step is worth 1 at most: V has run away
     # half of the rollouts go on, and so lead from |s_0| = 0.5 to 8 in eleven steps, and stay: 0.9^11 = 0.31
     assert 0.1 < after(0.5).mean() < 0.6
