@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from hiprl.data.answer import choice, level, number, ranking
-from hiprl.models.averaged import averaged, beyond_gaussian, probability
+from hiprl.models.averaged import averaged, beyond_gaussian, normal, probability
 from hiprl.models.likelihood import Noise, curvature, for_each, log_likelihood, meant
 from tests.models.test_variational import stacked
 
@@ -62,3 +62,10 @@ def test_bounds_that_are_infinite_say_that_anything_goes():
     likely = lambda mean, low: float(probability(one(mean), one(2.0), one(low), one(np.inf), jnp.float32(0.1))[0])
     assert likely(0.3, -np.inf) == pytest.approx(1, abs=1e-6)
     assert likely(0.0, 0.0) == pytest.approx(0.5, abs=1e-6)
+
+
+def test_the_normal_distribution_is_right_to_seven_digits():
+    z = np.linspace(-9, 9, 721)
+    density, below = normal(jnp.float32(z))
+    np.testing.assert_allclose(density, stats.norm.pdf(z), rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(below, stats.norm.cdf(z), rtol=0, atol=2e-7)
