@@ -1,7 +1,10 @@
 """Optimism against greed: pendulum swing-up with a narrow reward and a price on torque.
 
-A policy that does nothing gets 0; whoever tries and misses the top gets less. `solved_at`: after how many comparisons
+A policy that does nothing gets 0; whoever tries and misses the top gets less. `solved_at`: after how many episodes
 the policy that would be reported had swung up, that is, returned more than half of what the best of all runs did.
+
+With `--reward known` the learner knows the reward, and what is left is to explore the world; with `--reward answers` it
+learns the reward from a judge's numbers as usual, and cannot want to go where nobody has been.
 """
 
 from __future__ import annotations
@@ -11,11 +14,12 @@ from typing import Any
 from benchmarks.common import Report, parser
 from benchmarks.runner import Job, Outcome, add_running, by_arm, run_all, seeds_of, spread
 
+REWARDS = ("known", "answers")
 ARMS = ("greedy", "thompson", "eta_policy", "eta_sign", "bonus")
 
 
 def solved_at(reported: list[float | None], enough: float) -> int | None:
-    """After how many comparisons a reported policy first returned `enough`."""
+    """After how many episodes a reported policy first returned `enough`."""
     return next((k for k, value in enumerate(reported, start=1) if value is not None and value >= enough), None)
 
 
@@ -38,25 +42,28 @@ def main() -> None:
     add_running(made, results="runs/benchmarks/optimism.jsonl", seeds="0-9")
     made.add_argument("--arms", nargs="+", default=list(ARMS), choices=ARMS, help="modes compared")
     made.add_argument("--action-cost", type=float, default=0.1, help="what a full torque costs a step")
-    made.add_argument("--comparisons", type=int, default=20, help="answers that the judge gives")
+    made.add_argument("--reward", nargs="+", choices=REWARDS, default=list(REWARDS), help="what it knows of the reward")
+    made.add_argument("--episodes", type=int, default=15, help="of a run, each with a comparison if there is a judge")
     options = made.parse_args()
     if options.quick:
-        options.seeds, options.comparisons, options.arms = "0", 6, ["greedy", "thompson"]
+        options.seeds, options.episodes, options.arms = "0", 6, ["greedy", "thompson"]
         options.results = options.results.with_name("optimism-quick.jsonl")
     env = f"swing-up:action_cost={options.action_cost:g}"
     jobs = [
         Job(
-            arm=arm,
+            arm=f"{arm}, {reward}",
             env=env,
             seed=seed,
-            settings={"config": {"optimism": arm, "comparisons": options.comparisons}},
+            kind="known" if reward == "known" else "hiprl",
+            settings={"config": {"optimism": arm, "comparisons": options.episodes}},
         )
         for seed in seeds_of(options.seeds)
+        for reward in options.reward
         for arm in options.arms
     ]
     outcomes = run_all(jobs, results=options.results, workers=options.workers)
     best = max(outcome["return_mean"] for _, outcome in outcomes)
-    report = Report(f"Swing-up, action cost {options.action_cost:g}, {options.comparisons} comparisons")
+    report = Report(f"Swing-up, action cost {options.action_cost:g}, {options.episodes} episodes")
     for (_, arm), group in by_arm(outcomes).items():
         report.add(**row(arm, group, best))
     report.notes.append(f"The best policy of all runs returns {best:.1f}; doing nothing returns 0.")

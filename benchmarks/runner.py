@@ -30,7 +30,7 @@ class Job:
     env: str
     seed: int
     kind: str = "hiprl"
-    """`hiprl`, or `sb3`: Stable-Baselines3's PPO in the true environment."""
+    """`hiprl`; `known` for a run that knows the reward; or `sb3`: Stable-Baselines3's PPO in the true environment."""
     settings: dict[str, Any] = field(default_factory=dict)
     """hiprl: `preset`, `comparisons`, `judge`, `horizon`, and in `config` what differs from the preset. sb3: as
     `sb3_side.py` has it."""
@@ -150,6 +150,7 @@ def work(order: str) -> None:
     job = Job(**told["job"])
     kinds: dict[str, Callable[[], Outcome]] = {
         "hiprl": lambda: by_hiprl(job, Path(told["store"])),
+        "known": lambda: by_known(job),
         "sb3": lambda: by_sb3(job),
     }
     print(json.dumps(kinds[job.kind]()))
@@ -185,6 +186,13 @@ def by_hiprl(job: Job, path: Path) -> Outcome:
 def reported(episodes: Sequence[Outcome]) -> list[float | None]:
     """After each comparison, the executed return of the policy that would then be reported; None in the warm-up."""
     return [facts.get("best_return") for facts in episodes]
+
+
+def by_known(job: Job) -> Outcome:
+    """A run that knows the reward, from its start: it takes minutes."""
+    from benchmarks.known import of_settings
+
+    return of_settings(job.env, job.seed, job.settings)
 
 
 def by_sb3(job: Job) -> Outcome:

@@ -11,6 +11,7 @@ from hiprl.algorithm import (
     begin,
     episode,
     expected,
+    hallucinated,
     learn,
     number_of,
     propose,
@@ -20,10 +21,15 @@ from hiprl.algorithm import (
 from hiprl.control.plan import Follow, Mpc, PlanConfig
 from hiprl.data.answer import number
 from hiprl.errors import FitDiverged
+from hiprl.models.dynamics import estimate_dynamics
 from hiprl.reported import best_actor, confirmed
 from hiprl.world.build import world_from
 from hiprl.world.task import World
 from tests.whole.tasks import TINY, exactly
+
+DREAMING = replace(TINY, question=replace(TINY.question, imagined=True))
+PRACTISING = replace(TINY, warm_up=5, practice=2)
+assert DREAMING.trajectories == PRACTISING.trajectories  # the same shapes: half as much to compile
 
 
 class Spy(World):
@@ -322,7 +328,7 @@ def test_the_executed_return_is_over_as_many_steps_as_the_trial(runs):
 
 
 def test_practice_adds_trajectories_that_nobody_is_asked_about(runs, world):
-    config = replace(TINY, practice=2)
+    config = PRACTISING
     run = begin(world, config, key=jr.key(5))
     for k in range(1, config.comparisons + 1):
         done = episode(run, world, config, ask, key=jr.key(5))
@@ -331,7 +337,88 @@ def test_practice_adds_trajectories_that_nobody_is_asked_about(runs, world):
         assert int(done.question.clips.of[0]) == config.number_after(k - 1)  # it is about its own episode
     assert int(run.P.count) == config.comparisons and int(run.T.count) == run.T.capacity
     np.testing.assert_array_equal(run.archive.filled, np.arange(run.T.capacity) >= config.warm_up)
-    assert same(run.T.get(config.warm_up - 1), runs[0][-1].T.get(config.warm_up - 1))  # the warm-up is the same
+    assert same(run.T.get(TINY.warm_up - 1), runs[0][-1].T.get(TINY.warm_up - 1))  # the warm-up is the same
+
+
+@pytest.fixture(scope="module")
+def dreamt():
+    """Episodes of a run that is asked about what was imagined, too, and what is known after them."""
+    world, config, done = world_from("linear"), DREAMING, []
+    run = begin(world, config, key=jr.key(6))
+    for _ in range(config.comparisons):
+        done.append(episode(run, world, config, ask, key=jr.key(6)))
+        run = done[-1].run
+    return run, done, config, world
+
+
+def test_what_is_imagined_stands_before_the_episode_of_its_policy(dreamt):
+    run, done, config, _ = dreamt
+    real = np.asarray(run.T.real)
+    first = config.warm_up
+    np.testing.assert_array_equal(real, [True] * first + [False, True] * (config.comparisons + 1 - first))
+    assert int(run.T.count) == run.T.capacity == config.number_after(config.comparisons)
+    assert [int(x.run.T.count) for x in done] == [config.number_after(k) for k in range(1, config.comparisons + 1)]
+    np.testing.assert_array_equal(run.archive.filled, real & (np.arange(run.T.capacity) >= first))
+
+
+def test_what_is_imagined_follows_the_model_and_is_priced_by_the_world(dreamt):
+    _, done, config, world = dreamt
+    new, before = done[config.warm_up - 1].question.attempt, done[config.warm_up - 2].run
+    tau = jax.tree.map(np.asarray, new.imagined)
+    firsts = np.asarray(before.T.rows.states[: int(before.T.count), 0])
+    assert tau.imagined and not new.tau.imagined and (firsts == tau.states[0]).all(axis=1).any()
+    policy = jax.vmap(new.state.policy.mode)(jnp.asarray(tau.states[:-1]))
+    np.testing.assert_allclose(tau.actions, policy, atol=1e-5)
+    np.testing.assert_allclose(tau.rewards, jax.vmap(world.task.r)(tau.states[:-1], tau.actions), rtol=1e-5)
+    belief = jax.vmap(before.dynamics.ensemble.predict)(jnp.asarray(tau.states[:-1]), jnp.asarray(tau.actions))
+    off = np.abs(tau.states[1:] - belief.mu) / np.sqrt(np.square(belief.sigma) + np.square(belief.noise))
+    assert np.median(off) < 2  # a member's step, and noise, about the mean of all
+
+
+def test_the_world_is_learned_from_what_was_executed_alone(dreamt):
+    run, _, config, world = dreamt
+    # they begin where others do, and that is real
+    dreamt = run.T.rows.imagined[:, None, None] & (jnp.arange(world.H + 1)[None, :, None] > 0)
+    wild = jnp.where(dreamt, 1e3, run.T.rows.states)
+    changed = eqx.tree_at(lambda run: run.T.rows.states, run, wild)
+    assert not same(changed.T, run.T)
+    found = hallucinated(run, config), hallucinated(changed, config)
+    assert same(*found)  # the box, too
+    fitted = [
+        estimate_dynamics(x.T.executed(), x.dynamics, config.dynamics, steps=50, key=jr.key(1)) for x in (run, changed)
+    ]
+    assert same(*fitted)
+
+
+def test_a_search_begins_at_a_policy_that_was_executed(dreamt):
+    run, _, config, _ = dreamt
+    tried = np.asarray(run.archive.filled)
+
+    class Told(type(run.reward)):
+        told: jax.Array
+
+        def returns(self, T):
+            return self.told
+
+    def begins(returns):
+        parts = {name: getattr(run.reward, name) for name in run.reward.__dataclass_fields__}
+        reward = Told(**parts, told=jnp.asarray(returns, jnp.float32))
+        return restart(eqx.tree_at(lambda run: run.reward, run, reward), config)
+
+    first = int(np.flatnonzero(tried)[0])
+    returns = np.where(tried, -9.0, 5.0)  # what was imagined looks better than all, and so do random actions
+    returns[: config.warm_up] = -20.0
+    returns[first] = -5.0
+    state, setbacks = begins(returns)
+    assert same(state, run.archive.get(first)) and int(setbacks) == int(tried.sum()) - 1
+
+
+def test_questions_are_about_what_was_imagined_as_well(dreamt):
+    run, done, config, _ = dreamt
+    shown = np.asarray(run.P.clips.of)
+    assert np.asarray(run.T.rows.imagined)[shown].any()
+    newest = [int(x.question.clips.of[0]) for x in done]
+    assert newest == [config.number_after(k) - 1 for k in range(1, config.comparisons + 1)]  # as executed
 
 
 def test_the_first_trajectory_and_the_episodes_draw_from_different_keys(runs, world):

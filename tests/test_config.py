@@ -1,10 +1,13 @@
+from dataclasses import replace
+
 import pytest
 
-from hiprl.config import PRESETS, Config, paper, preset
+from hiprl.config import PRESETS, Config, asking, paper, preset
 from hiprl.control.gradient import GradientConfig
 from hiprl.control.plan import PlanConfig
 from hiprl.control.ppo import PPOConfig
 from hiprl.errors import InputError
+from hiprl.feedback.judges import judge_from
 from hiprl.models.dynamics import DynamicsConfig
 from hiprl.models.reward import AdditiveConfig
 from hiprl.models.reward_network import NetworkConfig
@@ -37,6 +40,33 @@ def test_widths_below_nothing_are_refused_in_three_parts():
     for settings in ({"kappa": -0.1}, {"kappa_decay": 0.0}, {"bonus": -1.0}, {"kappa": float("nan")}):
         message = message_of(**settings)
         assert "got kappa" in message and "0 or more" in message and "Use 0" in message
+
+
+@pytest.mark.parametrize(
+    ("judge", "clip", "pick", "practice"),
+    [
+        ("exact", None, "uniform", 0),
+        ("noisy:3", None, "uniform", 0),
+        (lambda tau, other: 0.0, None, "uniform", 0),
+        ("choice", 50, "information", 1),
+        ("graded", 50, "information", 1),
+    ],
+)
+def test_judges_are_asked_what_they_can_tell_and_practice_follows_what_tells_little(judge, clip, pick, practice):
+    asked = asking(Config(), judge_from(judge))
+    assert (asked.question.clip, asked.question.pick, asked.practice) == (clip, pick, practice)
+    assert asking(Config(practice=3), judge_from(judge)).practice == 3
+    told = asking(Config(), judge_from(judge), clip=0, pick="uniform", practice=0)
+    assert (told.question.clip, told.question.pick, told.practice) == (None, "uniform", 0)
+
+
+def test_searches_and_trajectories_are_counted():
+    config = Config(comparisons=7, warm_up=3, practice=1)
+    assert [config.searches_after(k) for k in range(6)] == [0, 0, 0, 2, 4, 6]
+    assert [config.executed_after(k) for k in range(6)] == [1, 2, 3, 5, 7, 9]
+    assert config.trajectories == config.executed_after(7) == 13
+    imagining = replace(config, question=replace(config.question, imagined=True))
+    assert imagining.trajectories == 13 + 10
 
 
 def test_only_the_policy_that_chooses_eta_has_outputs_for_it():

@@ -5,11 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hiprl.config import asking, paper
+from hiprl.config import CUSTOM, asking, paper
 from hiprl.control.imagined import SearchReport
 from hiprl.errors import FitDiverged, InputError, JudgeError, WorldError
 from hiprl.feedback.judges import exact, judge_from
 from hiprl.feedback.judging import Judging
+from hiprl.report.evidence import evidence_of
 from hiprl.session import RunSpec, carry_on, finite_or_none, learned_actor, spec_of, start
 from hiprl.store.store import open_store
 from hiprl.world.build import world_from
@@ -133,6 +134,40 @@ def test_where_nothing_is_paid_the_exact_judge_leaves_the_question_open(store):
     with pytest.raises(JudgeError, match="judge of your own"):
         carry_on(store, run_id, world, exact)
     assert len(store.questions(run_id, unanswered=True)) == 1
+
+
+def dreaming(config):
+    return asking(config, judge_from("exact"), imagined=True)
+
+
+def test_imagined_trajectories_are_stored_as_such_and_asked_about(store):
+    """A judge of one's own sees which clips were imagined; one by the built-in rewards is told what they would earn."""
+    world, seen = world_from("linear"), []
+
+    def mine(tau, other):
+        seen.append((bool(tau.imagined), bool(other.imagined)))
+        return float(np.sum(tau.rewards) - np.sum(other.rewards))
+
+    run_id = start(store, world, RunSpec(seed=3, config=dreaming(TINY), judge=CUSTOM))
+    summary = carry_on(store, run_id, world, judge_from(mine))
+    rows, questions = store.trajectories(run_id), store.questions(run_id)
+    imagined = [row.imagined for row in rows]
+    assert imagined == [False] * TINY.warm_up + [True, False] * (TINY.comparisons + 1 - TINY.warm_up)
+    assert {row.kind for row in rows if row.imagined} == {"policy"}
+    assert seen == [tuple(imagined[clip.of] for clip in question.clips) for question in questions]
+    assert any(second for _, second in seen)
+    assert summary["env_steps"] == 31 * (TINY.comparisons + 1 + TINY.confirmations)  # nothing else was executed
+    T, P = evidence_of(store, store.run(run_id))
+    np.testing.assert_array_equal(T.rows.imagined, imagined)
+    paid = np.asarray(T.rows.rewards).sum(1)
+    np.testing.assert_allclose(P.g, paid[np.asarray(P.first)] - paid[np.asarray(P.second)], rtol=1e-3, atol=1e-3)
+
+
+def test_an_environment_cannot_price_what_was_only_imagined(store):
+    world = Blind(world_from("linear"))
+    with pytest.raises(InputError, match=r"got the judge exact for imagined clips in linear.*from Python, or by"):
+        start(store, world, RunSpec(seed=3, config=dreaming(TINY), judge="exact"))
+    assert not store.runs()
 
 
 def test_a_world_that_breaks_loses_nothing_that_was_learned(store):

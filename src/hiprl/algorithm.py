@@ -17,6 +17,7 @@ from jax.tree_util import Partial
 
 from hiprl.config import Config
 from hiprl.control.archive import Archive
+from hiprl.control.imagine import imagine
 from hiprl.control.imagined import Ends, SearchReport, SearchState
 from hiprl.control.plan import Noisy, planned
 from hiprl.control.policy import Uniform
@@ -38,6 +39,7 @@ from hiprl.types import Count, Flag, Key, Scalar
 from hiprl.world.task import World
 
 BEGINNING = (1 << 30) - 1  # folded into the run's key before the loop; no run has as many episodes
+IMAGINING = BEGINNING - 1  # folded into an attempt's key for what is imagined to be asked about
 LOST = 2  # setbacks at a policy that is worse than random actions, after which a search begins anew
 OVERPROMISE = 3.0  # times the executed return, by which imagination may exceed it before κ is halved
 
@@ -66,6 +68,12 @@ class Attempt(eqx.Module):
     """What that search believes to have reached."""
     searched: bool = eqx.field(static=True)
     """False in the warm-up, where the actions are random."""
+    imagined: Trajectory | None = None
+    """What its policy does in the model; None where nobody is asked about that."""
+
+    def added(self, T: Trajectories) -> Trajectories:
+        """T with what came of this."""
+        return (T if self.imagined is None else T.add(self.imagined)).add(self.tau)
 
 
 class Question(eqx.Module):
@@ -159,7 +167,7 @@ def attempt(run: Run, world: World, config: Config, *, key: Key) -> Attempt:
     f_tilde = hallucinated(run, config)  # μ + βση, eq. (5)
     ends = ends_of(run, world)
     more = {"setbacks": setbacks, "key": search_key}
-    state, report = search(f_tilde, run.reward, ends, run.T, state, config.search, **more)  # eq. (6)
+    state, report = search(f_tilde, run.reward, ends, run.T.executed(), state, config.search, **more)  # eq. (6)
     if not report.finite:
         raise FitDiverged(
             f"the policy search of episode {int(run.k) + 1} gave numbers that are not finite; imagined returns must be "
@@ -167,14 +175,17 @@ def attempt(run: Run, world: World, config: Config, *, key: Key) -> Attempt:
         )
     acting = planned(state, f_tilde, run.reward, ends, config.plan, q=world.q, gamma=config.search.discount(world.H))
     tau = world.roll_out(Noisy(acting, config.plan.noise), key=world_key)  # plans (a, η), executes a
-    return Attempt(tau, state, report, searched=True)
+    if not config.question.imagined:
+        return Attempt(tau, state, report, searched=True)
+    imagined = imagine(f_tilde, state.policy, ends, run.T, key=jr.fold_in(key, IMAGINING))
+    return Attempt(tau, state, report, searched=True, imagined=world.priced(imagined))
 
 
 def propose(run: Run, world: World, config: Config, *, key: Key) -> Question:
     """Acts for one episode and picks what to compare."""
     act_key, pick_key = jr.split(key)
     new = attempt(run, world, config, key=act_key)
-    return Question(new, pick_clips(run.T.add(new.tau), run.reward, config.question, key=pick_key))  # τ′ ~ T, or better
+    return Question(new, pick_clips(new.added(run.T), run.reward, config.question, key=pick_key))  # τ′ ~ T, or better
 
 
 def learn(run: Run, question: Question, answer: Answer, world: World, config: Config, *, key: Key) -> Run:
@@ -185,7 +196,7 @@ def learn(run: Run, question: Question, answer: Answer, world: World, config: Co
     """
     calibration = scored(run, question.attempt, config).calibration
     calibration = calibration.after_answer(number_of(answer), expected(run, question))
-    T = run.T.add(question.tau)
+    T = question.attempt.added(run.T)
     P = run.P.answered(answer, question.shown, at_hand=T.count)
     reward = estimate_reward(P, T, run.reward, config.reward)  # eq. (7)
     known = eqx.tree_at(lambda run: (run.k, run.P, run.reward), run, (run.k + 1, P, reward))
@@ -217,19 +228,19 @@ def lived(run: Run, new: Attempt, calibration: Calibration, world: World, config
         FitDiverged: its loss is not finite.
     """
     dynamics_key, ending_key = jr.split(key)
-    T = run.T.add(new.tau)
+    T = new.added(run.T)
     archive = run.archive.put(T.last, new.state) if new.searched else run.archive
     dynamics, ending = run.dynamics, run.ending
     if int(run.k) + 1 >= config.warm_up:  # the next episode will search
         steps = config.dynamics.warm_steps if new.searched else config.dynamics.cold_steps
-        dynamics, fitted = estimate_dynamics(T, dynamics, config.dynamics, steps=steps, key=dynamics_key)
+        dynamics, fitted = estimate_dynamics(T.executed(), dynamics, config.dynamics, steps=steps, key=dynamics_key)
         if not jnp.isfinite(fitted.loss):
             raise FitDiverged(
                 f"the dynamics model of episode {int(run.k)} lost its numbers: the loss is not finite after any "
                 "of its training steps. All up to here is stored: try a smaller learning rate, or another seed."
             )
         if world.ends and world.terminates is None:
-            ending = estimate_ending(T, ending, key=ending_key)
+            ending = estimate_ending(T.executed(), ending, key=ending_key)
     made = (T, dynamics, ending, calibration, archive)
     return eqx.tree_at(lambda run: (run.T, run.dynamics, run.ending, run.calibration, run.archive), run, made)
 
@@ -247,15 +258,16 @@ def restart(run: Run, config: Config) -> tuple[SearchState, Count]:
         return run.archive.get(run.T.last), jnp.zeros((), jnp.int32)
     tried, returns = run.archive.filled, run.reward.returns(run.T)
     best = run.archive.best(returns)
-    setbacks = jnp.where(tried[best], run.T.last - best, 0)
-    lost = (setbacks >= LOST) & (returns[best] < jnp.max(jnp.where(tried, -jnp.inf, returns)))
+    setbacks = jnp.sum(tried & (jnp.arange(run.T.capacity) > best))
+    random = jnp.max(jnp.where(run.T.real & ~tried, returns, -jnp.inf))
+    lost = (setbacks >= LOST) & (returns[best] < random)
     start = jnp.where(lost, 0, best)  # τ_0 is random: nothing is behind it
     return run.archive.get(start), jnp.where(lost, 0, setbacks)
 
 
 def hallucinated(run: Run, config: Config) -> Hallucinated:
     """f̃ with the calibrated β, kept in the box of what was seen."""
-    low, high = run.T.box(margin=BOX_MARGIN)
+    low, high = run.T.executed().box(margin=BOX_MARGIN)
     ensemble = run.dynamics.ensemble
     return Hallucinated(
         dynamics=ensemble,
@@ -296,6 +308,6 @@ def scored(run: Run, new: Attempt, config: Config) -> Scores:
 @jax.jit
 def expected(run: Run, question: Question) -> Gap:
     """What r̂ expects of an answer; NaN before the first, when not even the scale of one is known."""
-    T = run.T.add(question.tau)
+    T = question.attempt.added(run.T)
     guess = run.reward.gap(T.clip(question.shown[0]), T.clip(question.shown[-1]))
     return jax.tree.map(lambda x: jnp.where(run.P.count > 0, x, jnp.nan), guess)

@@ -11,7 +11,7 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import ArrayLike
 
-from hiprl.config import PEOPLE, Config, asking
+from hiprl.config import CUSTOM, PEOPLE, Config, asking
 from hiprl.errors import InputError
 from hiprl.feedback.judges import judge_from
 from hiprl.feedback.judging import Judge, Judging
@@ -22,8 +22,6 @@ from hiprl.store.store import Store, open_store
 from hiprl.types import Actor
 from hiprl.world.build import world_from
 from hiprl.world.task import World
-
-CUSTOM = "custom"  # what a row says of a function, which it cannot hold
 
 
 class Learned:
@@ -79,6 +77,8 @@ def learn(
     config: Config | None = None,
     clip: int | None = None,
     ask: Pick | None = None,
+    practice: int | None = None,
+    imagined: bool = False,
     horizon: int | None = None,
     terminates: Any = None,
     store: str | Path = "runs/hiprl.db",
@@ -96,6 +96,8 @@ def learn(
         config: settings; the default ones if None.
         clip: steps of the clips that are compared, 0 for whole trajectories; what suits the judge if None.
         ask: `uniform` or `information`, how the clips are picked; what suits the judge if None.
+        practice: episodes after each answer that nobody is asked about; what suits the judge if None.
+        imagined: ask about what a new policy does in the model as well; such a clip has `imagined` set.
         horizon: most steps in an episode, where the environment sets no limit.
         terminates: when an episode ends, if that is known: a function of (s, a, s′) in JAX.
         store: the file, or the database, that keeps the run.
@@ -111,7 +113,7 @@ def learn(
         settings = replace(settings, comparisons=comparisons, warm_up=min(settings.warm_up, comparisons))
     world = world_from(env, horizon=horizon, terminates=terminates)
     judging = judge_from(judge)
-    settings = asking(settings, judging, clip=clip, pick=ask)
+    settings = asking(settings, judging, clip=clip, pick=ask, practice=practice, imagined=imagined)
     rule = None if terminates is None else named(terminates)
     spec = RunSpec(seed=seed, config=settings, judge=named(judge), terminates=rule)
     with new_store(store) as opened:

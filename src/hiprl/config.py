@@ -24,6 +24,8 @@ CLIP = 50
 """Steps of a clip where a judge does not give numbers: 2 to 5 seconds in most simulators."""
 PEOPLE = "people"
 """In place of a judge's name in the row of a run that people teach."""
+CUSTOM = "custom"
+"""There for a judge, or a rule of termination, that is a function, which a row cannot hold."""
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 
 
@@ -100,33 +102,52 @@ class Config:
 
     @property
     def trajectories(self) -> int:
-        """How many are executed from τ_0 to the last answer's practice."""
+        """How many there are from τ_0 to the last answer's practice."""
         return self.number_after(self.comparisons)
 
     def practice_after(self, k: int) -> int:
         """Episodes of practice after answer k: none in the warm-up, which has no policy yet."""
         return self.practice if k >= self.warm_up else 0
 
+    def searches_after(self, k: int) -> int:
+        """How many policies were searched when all is done that belongs to answer k."""
+        return (1 + self.practice) * max(0, k - self.warm_up + 1)
+
+    def executed_after(self, k: int) -> int:
+        """How many trajectories were executed then."""
+        return 1 + min(k, self.warm_up - 1) + self.searches_after(k)
+
     def number_after(self, k: int) -> int:
-        """How many trajectories there are when all is done that belongs to answer k."""
-        return 1 + k + self.practice * max(0, k - self.warm_up + 1)
+        """How many trajectories there are then, with those that were imagined to be asked about."""
+        return self.executed_after(k) + (self.searches_after(k) if self.question.imagined else 0)
 
     def eta_size(self, p: int) -> int:
         """How many entries of the policy's output are hallucinated control."""
         return p if self.optimism == "eta_policy" else 0
 
 
-def asking(config: Config, judging: Judging, *, clip: int | None = None, pick: Pick | None = None) -> Config:
+def asking(
+    config: Config,
+    judging: Judging,
+    *,
+    clip: int | None = None,
+    pick: Pick | None = None,
+    practice: int | None = None,
+    imagined: bool = False,
+) -> Config:
     """The settings with questions that this judge can answer.
 
     Numbers are given for whole trajectories, any of which will do (the paper). Answers with less in them are asked of
-    clips, and of those clips that tell most: whole episodes picked at random do not get there.
+    clips, and of those clips that tell most: whole episodes picked at random do not get there. They are also
+    what there is least of, so that an episode of practice follows each.
 
     Args:
         config: the settings.
         judging: who answers.
         clip: steps of a clip; 0 for whole trajectories, None for what suits the judge.
         pick: how clips are picked; None for what suits the judge.
+        practice: episodes of practice after each answer; None for what suits the judge, or what `config` has if more.
+        imagined: ask about what a new policy does in the model as well.
     """
     telling = judging.form not in (None, "number")
     levels = {"choice": 2, "level": judging.levels, "rating": judging.levels, "slider": 5}.get(str(judging.form))
@@ -137,7 +158,11 @@ def asking(config: Config, judging: Judging, *, clip: int | None = None, pick: P
         asked = replace(asked, clip=CLIP, pick="information")
     if clip is not None:
         asked = replace(asked, clip=clip or None)
-    return replace(config, question=asked if pick is None else replace(asked, pick=pick))
+    if imagined:
+        asked = replace(asked, imagined=True)
+    if practice is None:
+        practice = max(config.practice, 1) if telling else config.practice
+    return replace(config, question=asked if pick is None else replace(asked, pick=pick), practice=practice)
 
 
 def teachable(config: Config) -> Config:

@@ -31,7 +31,7 @@ from hiprl.algorithm import (
     number_of,
     scored,
 )
-from hiprl.config import Config
+from hiprl.config import CUSTOM, PEOPLE, Config
 from hiprl.data.answer import Answer
 from hiprl.data.preference import WHOLE, Clip
 from hiprl.errors import InputError, JudgeError
@@ -98,9 +98,15 @@ def start(store: Store, world: World, spec: RunSpec) -> str:
     """Writes a new run into the store, and gives its id. Nothing is executed yet.
 
     Raises:
-        InputError: the reward cannot learn from what the judge is to be asked.
+        InputError: the reward cannot learn from what the judge is to be asked, or the judge cannot tell.
     """
     asked = spec.config.question
+    if asked.imagined and spec.judge not in (PEOPLE, CUSTOM) and not world.prices:
+        raise InputError(
+            f"got the judge {spec.judge} for imagined clips in {world.name}, which pays only for what is executed; a "
+            "judge by the environment's reward has none to go by there. Leave imagined clips out, or judge them "
+            "yourself: with a function of yours from Python, or by `hiprl teach`."
+        )
     if isinstance(spec.config.reward, NetworkConfig) and (asked.clip or asked.levels or asked.items != 2):
         raise InputError(
             f"got the judge {spec.judge} for the paper's reward network, which learns from numbers about whole "
@@ -178,6 +184,12 @@ def film_of(world: World) -> bytes | None:
     return None if world.film is None else world.film.to_bytes()
 
 
+def imagined_film(world: World, states: np.ndarray) -> bytes | None:
+    """What there would be to be seen in these states; None where nobody films, or only what happens."""
+    film = world.film_of(states)
+    return None if film is None else film.to_bytes()
+
+
 def shape_of_run(world: World, config: Config) -> Run:
     """A run with shapes in place of arrays: what a checkpoint is read into."""
     T = no_trajectories(world, config)
@@ -202,23 +214,25 @@ def one_episode(
     times.append(time.perf_counter())
     facts = facts_of(run, question, answer, after, config)
     facts["seconds"] = dict(zip(("propose", "judge", "learn"), np.diff(times).tolist(), strict=True))
-    for number in range(int(run.T.count) + 1, int(after.T.count)):
+    for number in range(int(question.attempt.added(run.T).count), int(after.T.count)):
         store.add_trajectory(run_id, number, after.T.get(number), "policy")
     store.finish_episode(run_id, k, facts, pack(after))
     watch(facts)
     return after
 
 
-def row_of(new: Attempt, number: int) -> TrajectoryRow:
-    """What an episode executed, as the store keeps it."""
-    return TrajectoryRow.of(new.tau, number=number, kind="policy" if new.searched else "random")
+def rows_of(new: Attempt, number: int) -> list[TrajectoryRow]:
+    """What an episode imagined, if it was to, and what it executed, as the store keeps them, from this number on."""
+    kind = "policy" if new.searched else "random"
+    taus = [tau for tau in (new.imagined, new.tau) if tau is not None]
+    return [TrajectoryRow.of(tau, number=i, kind=kind) for i, tau in enumerate(taus, start=number)]
 
 
 def asked(store: Store, run_id: str, k: int, run: Run, question: Question, judging: Judging, *, key: Key) -> Answer:
     """The answer to episode k's question, which is written down first: from the store if it is there, or the judge."""
-    T = run.T.add(question.tau)
-    rows = [clip_row(clip) for clip in question.shown]
-    store.open_question(run_id, k, row_of(question.attempt, int(T.last)), rows)
+    T = question.attempt.added(run.T)
+    clips = [clip_row(clip) for clip in question.shown]
+    store.open_question(run_id, k, rows_of(question.attempt, int(run.T.count)), clips)
     answer = store.answer_of(run_id, k)
     if answer is None:
         try:
@@ -257,10 +271,10 @@ def facts_of_attempt(run: Run, new: Attempt, after: Run, config: Config) -> Fact
     returns = after.reward.returns(after.T)
     facts = {
         "k": int(after.k),
-        "env_steps": int(jnp.sum(jnp.where(after.T.filled, after.T.rows.length, 0))),
+        "env_steps": int(jnp.sum(jnp.where(after.T.real, after.T.rows.length, 0))),
         "length": int(new.tau.length),
         "true_return": float(new.tau.true_return),
-        "return_by_reward": float(returns[run.T.count]),
+        "return_by_reward": float(returns[new.added(run.T).last]),
         "searched": new.searched,
     }
     if new.searched:

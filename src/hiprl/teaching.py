@@ -39,9 +39,10 @@ from hiprl.session import (
     film_of,
     finite_or_none,
     foreseen,
+    imagined_film,
     latest,
     refuse_finished,
-    row_of,
+    rows_of,
     spec_of,
     worth_of,
 )
@@ -260,7 +261,7 @@ def taught(
         scene = world.start_filming()
         store.set_scene(run_id, scene or states_only(world))
         known = Known(latest(store, run_id, world, spec))
-        while int(known.run.T.count) < min(SEEN, config.warm_up):
+        while executed(known.run) < min(SEEN, config.warm_up):
             practised(store, run_id, known, world, config, None, watch, key=key)
         with Asking(store, row, config, known, key=jr.fold_in(key, ASKING)) as asking:
             idle, heard, waits = 0, known.answers, ""
@@ -269,8 +270,8 @@ def taught(
                     raise asking.failed
                 idle, heard = 0 if known.answers != heard else idle, known.answers
                 to_come = 0 if store.enough(run_id) else max(0, config.comparisons - heard)
-                lived_so_far = int(known.run.T.count)
-                room = lived_so_far < max(config.warm_up, known.run.T.capacity - to_come)  # an episode an answer
+                lived_so_far, most = executed(known.run), config.executed_after(config.comparisons)
+                room = lived_so_far < max(config.warm_up, most - to_come)  # an episode an answer
                 resting = idle >= PRACTICE or not room
                 if not to_come and resting and not asking.behind():
                     break
@@ -318,15 +319,25 @@ def practised(
         told, asking.foresight = asking.foresight, []
         facts |= {"foreseen": float(np.mean(told)) if told else None}
         facts |= {"weights": asking.weights, "agrees": asking.agrees, "disagrees": asking.disagrees, **asking.opinions}
-    facts, tau = finite_or_none(facts), row_of(new, int(run.T.count))
-    store.finish_episode(run_id, facts["k"], facts, pack(after), tau=tau, film=film_of(world))
+    facts = finite_or_none(facts)
+    taus = [
+        (row, imagined_film(world, row.states) if row.imagined else film_of(world))
+        for row in rows_of(new, int(run.T.count))
+    ]
+    store.finish_episode(run_id, facts["k"], facts, pack(after), taus=taus)
     known.lived(after)  # now it may be asked about
     watch(facts)
 
 
+def executed(run: Run) -> int:
+    """How many episodes there were."""
+    return int(jnp.sum(run.T.real))
+
+
 def news(run: Run) -> bool:
     """Whether the newest policy is better than all before it."""
-    return improved(np.asarray(run.reward.returns(run.T))[: int(run.T.count)], np.asarray(run.archive.filled))
+    real = np.asarray(run.T.real)
+    return improved(np.asarray(run.reward.returns(run.T))[real], np.asarray(run.archive.filled)[real])
 
 
 def improved(returns: np.ndarray, tried: np.ndarray) -> bool:

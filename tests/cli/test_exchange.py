@@ -45,10 +45,10 @@ def test_trajectories_go_out(where, tmp_path: Path) -> None:
     store, run = where
     export(Export(run=run, to=str(tmp_path / "all.npz"), store=store))
     with np.load(tmp_path / "all.npz") as arrays:
-        states, lengths = arrays["states"], arrays["lengths"]
+        states, lengths, imagined = arrays["states"], arrays["lengths"], arrays["imagined"]
     for i, n in enumerate(lengths):
         row = trajectory(i)
-        assert n == row.length
+        assert n == row.length and imagined[i] == row.imagined
         np.testing.assert_array_equal(states[i, : n + 1], row.states)
         assert np.isnan(states[i, n + 1 :]).all()
 

@@ -13,6 +13,7 @@ from hiprl.cli import teaching
 from hiprl.cli.commands import Resume, Teach
 from hiprl.cli.serving import known_as
 from hiprl.cli.training import typed
+from hiprl.errors import InputError
 from hiprl.session import spec_of
 from hiprl.store.store import open_store
 
@@ -24,6 +25,19 @@ def test_clips_of_no_steps_are_whole_episodes(tmp_path: Path, monkeypatch: pytes
     for clip in (0, 30, None):
         teaching.teach(Teach(env="linear", clip=clip, port=0, store=store))
     assert [spec.config.question.clip for spec in asked] == [None, 30, 50]
+
+
+def test_imagined_clips_are_asked_for_where_they_can_be_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(teaching, "follow", lambda store, run_id, *_: asked.append(spec_of(store, run_id)) or {})
+    store = str(tmp_path / "runs.db")
+    for env in ("Hopper-v5", "linear"):  # bodies; states alone, which are shown as curves
+        teaching.teach(Teach(env=env, imagined=True, port=0, store=store))
+    with pytest.raises(InputError, match=r"got --imagined for Reacher-v5.*joints.*Leave --imagined out"):
+        teaching.teach(Teach(env="Reacher-v5", imagined=True, port=0, store=store))
+    assert [spec.config.question.imagined for spec in asked] == [True, True]
+    with open_store(store, create=False) as opened:
+        assert len(opened.runs()) == 2
 
 
 def test_a_taught_run_is_resumed_with_its_page_where_it_was(tmp_path: Path) -> None:

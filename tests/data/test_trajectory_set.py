@@ -1,9 +1,11 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hiprl.data.preference import Clip
 from tests.data.samples import H, N, clean, lengths, p, seeds, set_of, trajectory
 
 several = st.lists(lengths, min_size=1, max_size=N)
@@ -74,3 +76,21 @@ def test_first_states_are_where_episodes_began(seed, ns):
     first = np.asarray(set_of(taus).first_states())
     np.testing.assert_array_equal(first[: len(ns)], [np.asarray(tau.states)[0] for tau in taus])
     np.testing.assert_array_equal(first[len(ns) :], np.broadcast_to(np.asarray(taus[0].states)[0], (N - len(ns), p)))
+
+
+@settings(max_examples=10)
+@given(seeds, st.lists(st.tuples(lengths, st.booleans()), min_size=1, max_size=N))
+def test_the_world_is_learned_from_what_was_executed(seed, kinds):
+    taus = [
+        eqx.tree_at(lambda tau: tau.imagined, tau, jnp.asarray(imagined))
+        for tau, (_, imagined) in zip(taus_of(seed, [n for n, _ in kinds]), kinds, strict=True)
+    ]
+    T, imagined = set_of(taus), np.array([dream for _, dream in kinds])
+    np.testing.assert_array_equal(T.real, [*~imagined, *[False] * (N - len(kinds))])
+    rows = jax.tree.map(np.asarray, T.executed().transitions())
+    assert int(rows.mask.sum()) == sum(n for n, dream in kinds if not dream)
+    real = [np.asarray(tau.states)[:n] for tau, (n, dream) in zip(taus, kinds, strict=True) if not dream]
+    np.testing.assert_array_equal(rows.s[rows.mask], np.concatenate([np.zeros((0, p)), *real]))
+    assert int(T.transitions().mask.sum()) == sum(n for n, _ in kinds)  # but all may be asked about
+    for i, dream in enumerate(imagined):
+        assert bool(T.clip(Clip.at(i, 0, 2)).imagined) == bool(T.clip(Clip.at(i, 0, 2)).seen().imagined) == dream

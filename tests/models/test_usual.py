@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -29,6 +30,18 @@ def test_usual_steps_count_alike_and_padding_counts_nothing(seed):
     r, mask = rewards(rng, T)
     weight = weights(r, T)
     assert (weight[mask] > 0.8).all() and (weight[~mask] == 0).all()
+
+
+@given(seeds)
+def test_trajectories_without_steps_change_nothing(seed):
+    rng = np.random.default_rng(seed)
+    T = T_of(rng)
+    r, mask = rewards(rng, T)
+    gone = np.arange(N) % 2 == 1  # such as what was only imagined
+    without = eqx.tree_at(lambda T: T.rows.length, T, jnp.where(gone, 0, T.rows.length))
+    left = mask & ~np.repeat(gone, H)
+    weight = weights(r, without)
+    assert (weight[left] > 0.8).all() and (weight[~left] == 0).all()
 
 
 def test_a_step_that_is_far_worse_counts_next_to_nothing():

@@ -101,7 +101,9 @@ def fill_at_0001(where: str) -> None:
         insert("runs", id="ant-1", created_at=moment, env="Ant-v5", seed=2**40, spec='{"π": 1}', versions="{}")
         insert("leases", run_id="ant-1", host="here", pid=1, token="t", expires_at=moment)
         for n in range(4):
-            insert("trajectories", run_id="ant-1", **trajectory(n).values())
+            row = trajectory(n).values()
+            assert row.pop("imagined") is False  # which this store did not know of
+            insert("trajectories", run_id="ant-1", **row)
         # Question 1 has no answer, 2 has one, 3 has the others.
         for k in (1, 2, 3):
             insert("questions", run_id="ant-1", k=k, first=k, second=k - 1, created_at=moment)
@@ -168,7 +170,7 @@ def test_a_run_of_0001_goes_on(where: str):
         with pytest.raises(StoreError, match=r"it is about \(1, 0\) and \(1, 0\[2:\]\)"):
             store.ask("ant-1", 1, [ClipRow(1), ClipRow(0, 2)])
         store.answer("ant-1", 3, CANNOT_TELL, "Ada")  # newer than all that was there
-        asked = store.open_question("ant-1", 4, trajectory(4), [ClipRow(4, 2, 3), ClipRow(0), ClipRow(4)])
+        asked = store.open_question("ant-1", 4, [trajectory(4)], [ClipRow(4, 2, 3), ClipRow(0), ClipRow(4)])
         assert asked == 4
         store.answer("ant-1", 4, ranking((2, 0, 1)), "Ada")
         assert [row.answer for row in store.questions()] == [None, number(GS[0]), CANNOT_TELL, ranking((2, 0, 1))]

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from threading import Barrier
 
@@ -142,8 +143,10 @@ def test_a_seed_past_64_bits_is_refused(store: Store):
 
 
 @FIXTURE_IS_SHARED
-@given(data=st.data(), n=st.integers(1, 6), terminated=st.booleans())
-def test_a_trajectory_comes_back_bit_for_bit(store: Store, data: st.DataObject, n: int, terminated: bool):
+@given(data=st.data(), n=st.integers(1, 6), terminated=st.booleans(), imagined=st.booleans())
+def test_a_trajectory_comes_back_bit_for_bit(
+    store: Store, data: st.DataObject, n: int, terminated: bool, imagined: bool
+):
     run_id = store.add_run("Reacher-v5", 1, {}, {})
     rows = [data.draw(npst.arrays(np.float32, shape)) for shape in ((n + 1, 5), (n, 3), (n,))]
     tau = TrajectoryRow(
@@ -154,13 +157,18 @@ def test_a_trajectory_comes_back_bit_for_bit(store: Store, data: st.DataObject, 
         rewards=rows[2],
         length=n,
         terminated=terminated,
+        imagined=imagined,
     )
     store.add_trajectory(run_id, 13, tau, "policy")
     store.add_trajectory(run_id, 13, tau, "policy")
     (back,) = store.trajectories(run_id)
     assert tau.differs_from(back) is None
     assert back.states.shape == (n + 1, 5)
-    assert (back.length, back.terminated, back.number) == (n, terminated, 13)
+    assert (back.length, back.terminated, back.number, back.imagined) == (n, terminated, 13, imagined)
+    assert store.film(run_id, 13) == (None, imagined)
+    assert store.newest(run_id, "policy") == (None if imagined else 13)
+    with pytest.raises(StoreError, match=f"its imagined is {imagined}"):
+        store.add_trajectory(run_id, 13, replace(tau, imagined=not imagined), "policy")
 
 
 def test_padding_is_not_stored(store: Store, run_id: str):
@@ -212,8 +220,8 @@ def test_a_trajectory_that_differs_in_one_bit_stops_the_run(store: Store, run_id
 
 def test_asking_again_gives_the_same_question(store: Store, run_id: str):
     with_two_trajectories(store, run_id)
-    first = store.open_question(run_id, 1, trajectory(2), pair(2, 0))
-    assert store.open_question(run_id, 1, trajectory(2), pair(2, 0)) == first
+    first = store.open_question(run_id, 1, [trajectory(2)], pair(2, 0))
+    assert store.open_question(run_id, 1, [trajectory(2)], pair(2, 0)) == first
     assert store.ask(run_id, 1, pair(2, 0)) == first
     assert store.ask(run_id, 2, pair(2, 1)) != first
     with pytest.raises(StoreError, match=r"bit for bit.*episode 1: it is about \(2, 0\) and \(0, 2\)"):
@@ -292,7 +300,7 @@ def test_clips_that_cannot_be_shown_are_refused_and_nothing_is_kept(store: Store
     with pytest.raises(InputError, match=message):
         store.ask(run_id, 1, clips)
     with pytest.raises(InputError, match=message):
-        store.open_question(run_id, 1, trajectory(2), clips)
+        store.open_question(run_id, 1, [trajectory(2)], clips)
     assert store.questions(run_id) == []
     assert [row.number for row in store.trajectories(run_id)] == [0, 1]
     store.ask(run_id, 1, pair(0, 1))
@@ -302,10 +310,10 @@ def test_clips_that_cannot_be_shown_are_refused_and_nothing_is_kept(store: Store
 
 def test_an_episode_comes_with_its_trajectory_or_not_at_all(store: Store, run_id: str):
     with_two_trajectories(store, run_id)
-    store.finish_episode(run_id, 1, {}, b"1", tau=trajectory(2), film=b"film")
-    assert store.trajectory(run_id, 2).differs_from(trajectory(2)) is None and store.film(run_id, 2) == b"film"
+    store.finish_episode(run_id, 1, {}, b"1", taus=[(trajectory(2), b"film")])
+    assert store.trajectory(run_id, 2).differs_from(trajectory(2)) is None and store.film(run_id, 2) == (b"film", False)
     with pytest.raises(StoreError, match="bit for bit"):
-        store.finish_episode(run_id, 1, {}, b"another", tau=trajectory(3))
+        store.finish_episode(run_id, 1, {}, b"another", taus=[(trajectory(3), None)])
     assert [row.number for row in store.trajectories(run_id)] == [0, 1, 2]
 
 
@@ -313,7 +321,7 @@ def test_a_question_comes_with_its_trajectory_or_not_at_all(store: Store, run_id
     with_two_trajectories(store, run_id)
     store.ask(run_id, 1, pair(0, 1))
     with pytest.raises(StoreError, match="bit for bit"):
-        store.open_question(run_id, 1, trajectory(2), pair(2, 0))
+        store.open_question(run_id, 1, [trajectory(2)], pair(2, 0))
     assert [row.number for row in store.trajectories(run_id)] == [0, 1]
 
 

@@ -37,7 +37,7 @@ def go_on(store: Store, run_id: str, *, episodes: int | None) -> None:
         store.add_trajectory(run_id, number, trajectory(number), "random")
     at = store.checkpoint(run_id)
     for k in islice(count(at[0] + 1 if at else 1), episodes):
-        store.open_question(run_id, k, trajectory(k + 1), [ClipRow(k + 1), ClipRow(k)])
+        store.open_question(run_id, k, [trajectory(k + 1)], [ClipRow(k + 1), ClipRow(k)])
         if store.answer_of(run_id, k) is None:
             store.answer(run_id, k, a_number(k / 3), "writer")
         store.finish_episode(run_id, k, {"k": k, "return": k / 7}, checkpoint(k))

@@ -12,6 +12,7 @@ from hiprl.store.rows import ClipRow
 from hiprl.store.store import Store
 
 H, BODIES = 40, 3
+IMAGINED = 1  # the trajectory that nobody executed
 STANDING = {"pos": [0, 0, 0], "quat": [1, 0, 0, 0]}
 SCENE = {
     "kind": "mujoco",
@@ -42,9 +43,9 @@ def a_taught_run(store: Store, *, trajectories: int = 3, questions: int = 3, fil
     for i in range(trajectories):
         n = H - 7 * i
         states = np.stack([np.arange(n + 1) * i, np.ones(n + 1)], axis=1)
-        tau = trajectory_from(states, np.zeros((n, 1)), H=H, terminated=i > 0).seen()
+        tau = trajectory_from(states, np.zeros((n, 1)), H=H, terminated=i > 0, imagined=i == IMAGINED).seen()
         film = Film(poses=poses(i, n)).to_bytes() if filmed else None
-        store.add_trajectory(run_id, i, tau, "random" if i < 2 else "policy", film=film)
+        store.add_trajectory(run_id, i, tau, "random" if i < IMAGINED else "policy", film=film)
     for k in range(1, questions + 1):
         store.ask(run_id, k, [ClipRow(k % trajectories, 5, 10), ClipRow((k + 1) % trajectories, 0, None)])
     return run_id

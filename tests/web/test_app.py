@@ -37,6 +37,7 @@ def test_a_question_shows_its_clips_as_they_were(client, store: Store, run_id: s
     assert (question["k"], first["trajectory"], first["start"], first["steps"]) == (1, 1, 5, 10)
     np.testing.assert_array_equal(shown_poses(first), poses(1, 33)[5:16])
     assert second["steps"] == 26 and len(shown_poses(second)) == 27  # a clip to its end
+    assert (first["imagined"], second["imagined"]) == (True, False)
 
 
 def test_sides_are_drawn(client, run_id: str):

@@ -17,7 +17,7 @@ from benchmarks.clicker import CHROMIUM, chromium, started
 from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, level
 from hiprl.store.store import Store
 from hiprl.web.shown import turned
-from tests.web.made import a_taught_run
+from tests.web.made import IMAGINED, a_taught_run
 from tests.web.trainer import CONFIG, begun
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is here (Debian: apt-get install chromium)")
@@ -115,6 +115,17 @@ def test_a_person_answers_with_keys(served: Served):
         assert as_shown(served.store, served.run_id, k) == answer, key
     assert {row.judge for row in served.store.answers(served.run_id)} == {"ada"}
     assert served.sizes and max(served.sizes) < 300_000
+
+
+def test_what_was_only_imagined_is_marked_so(served: Served):
+    page = served.tab("/teach")
+    for _ in range(3):
+        k = served.shown(page)
+        shown = [clip.of == IMAGINED for clip in served.store.questions(served.run_id)[k - 1].clips]
+        names = page.locator("#stage figcaption").all_inner_texts()
+        assert [name.split(", ")[0] for name in names] == ["Left", "Right"]
+        assert sorted(["imagined" in name for name in names]) == sorted(shown)
+        served.press(page, "e")
 
 
 def test_undo_and_reload_lose_nothing(served: Served):

@@ -20,7 +20,7 @@ TINY = Config(comparisons=6, warm_up=3, dynamics=DYNAMICS, search=SEARCH)
 
 def exactly(question, run, *, key):
     """The exact judge, asked by Algorithm 1 itself."""
-    T = run.T.add(question.tau)
+    T = question.attempt.added(run.T)
     return number(gap(*(T.clip(clip) for clip in question.shown)))
 
 

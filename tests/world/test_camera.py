@@ -38,6 +38,44 @@ def test_a_mujoco_world_is_filmed_by_where_its_bodies_are():
     world.close()
 
 
+def test_what_is_imagined_is_drawn_from_its_observations():
+    world = world_from("HalfCheetah-v5", horizon=20)
+    assert not world.films_imagined and world.film_of(np.zeros((3, 17))) is None  # it does not film yet
+    scene = world.start_filming()
+    assert world.films_imagined
+    tau = world.roll_out(Uniform(jnp.ones(()), world.q), key=jr.key(1))
+    seen, drawn = world.film.poses, world.film_of(np.asarray(tau.states)).poses
+    np.testing.assert_allclose(drawn[..., 1:3], seen[..., 1:3], atol=1e-5)
+    np.testing.assert_allclose(drawn[..., 3:], seen[..., 3:], atol=1e-5)
+    along = drawn[:, 1, 0]  # where it is along x is not observed: from its speed, and from where it was
+    np.testing.assert_allclose(np.diff(along), scene["dt"] * np.asarray(tau.states[:20, 8]), atol=1e-5)
+    to_torso = lambda poses: poses[:, 2:, 0] - poses[:, 1, 0, None]
+    np.testing.assert_allclose(to_torso(drawn), to_torso(seen), atol=1e-5)
+    world.close()
+
+
+@pytest.mark.parametrize("env", ["InvertedDoublePendulum-v5", "Reacher-v5"])  # observes sines; leaves joints out
+def test_bodies_that_are_not_observed_are_not_drawn_from_observations(env):
+    world = world_from(env)
+    world.start_filming()
+    assert not world.films_imagined and world.film_of(np.zeros((3, world.p))) is None
+    world.close()
+
+
+class Mirrored(gym.ObservationWrapper):
+    """Observes all joints with the sign turned round."""
+
+    def observation(self, observation):
+        return -observation
+
+
+def test_observations_that_were_changed_on_the_way_are_not_drawn_from():
+    world = world_from(Mirrored(gym.make("Hopper-v5")))
+    world.start_filming()
+    assert not world.films_imagined and world.film_of(np.zeros((3, world.p))) is None
+    world.close()
+
+
 def test_each_episode_has_a_film_of_its_own():
     world = world_from("InvertedPendulum-v5")
     world.start_filming()

@@ -84,9 +84,11 @@ class Player {
 
   name(titles) {
     this.figures.forEach(({ caption, canvas }, i) => {
-      caption.textContent = titles[i] ?? "";
-      caption.hidden = !titles[i];
-      canvas.setAttribute("aria-label", titles[i] ? `Clip: ${titles[i]}` : "Clip of the body moving");
+      const imagined = Boolean(this.clips[i].imagined);
+      const words = [titles[i], imagined && "imagined"].filter(Boolean).join(", ");
+      caption.textContent = words;
+      caption.hidden = !words;
+      canvas.setAttribute("aria-label", words ? `Clip: ${words}` : "Clip of the body moving");
     });
   }
 

@@ -29,6 +29,7 @@ Store: TypeAlias = Annotated[str, arg(metavar="PATH|URL")]
 Json: TypeAlias = Annotated[bool, arg(help_behavior_hint="(default: off)")]
 Host: TypeAlias = Annotated[str, arg(metavar="ADDRESS")]
 Port: TypeAlias = Annotated[int, arg(metavar="N")]
+Imagined: TypeAlias = Annotated[bool, arg(help_behavior_hint="(default: off)")]
 NoBrowser: TypeAlias = Annotated[bool, arg(help_behavior_hint="(default: off)")]
 Folder: TypeAlias = Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: none)")]
 Rule: TypeAlias = Annotated[
@@ -93,8 +94,13 @@ class Train:
     """How clips are picked: the newest trajectory and any older ones, or what is expected to tell most."""
     comparisons: Annotated[int, arg(metavar="K")] = 30
     """Comparisons that the judge answers; one an episode."""
-    practice: Annotated[int, arg(metavar="N")] = 0
+    practice: Annotated[
+        int | None, arg(metavar="N", help_behavior_hint="(default: 0 for exact and noisy, 1 for the others)")
+    ] = None
     """Episodes after each answer that nobody is asked about: they cost steps in the environment, and time."""
+    imagined: Imagined = False
+    """Ask about what a new policy does in the model as well, where the world can tell what it would pay for that:
+    the built-in ones can."""
     seed: int = 0
     """Decides all draws; whole number."""
     preset: Preset = "default"
@@ -233,6 +239,8 @@ class Teach:
     """Answers after which it practises a while longer, and ends."""
     clip: Annotated[int | None, arg(metavar="STEPS", help_behavior_hint="(default: 50)")] = None
     """Steps of the clips that are compared; 0 for whole episodes."""
+    imagined: Imagined = False
+    """Show also what it believes that it could do, in clips that are marked as imagined."""
     seed: int = 0
     """Decides all draws; whole number."""
     horizon: Annotated[int | None, arg(metavar="H", help_behavior_hint="(default: the environment's own limit)")] = None

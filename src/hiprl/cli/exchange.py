@@ -76,4 +76,5 @@ def arrays(taus: list[TrajectoryRow]) -> dict[str, np.ndarray]:
         "rewards": np.stack([padded(tau.rewards, H) for tau in taus]),
         "lengths": np.array([tau.length for tau in taus]),
         "terminated": np.array([tau.terminated for tau in taus]),
+        "imagined": np.array([tau.imagined for tau in taus]),
     }

@@ -37,6 +37,9 @@ def teach(command: Teach) -> Facts:
     config = teachable(Config(comparisons=K, warm_up=min(WARM_UP, K)))
     if command.clip is not None:
         config = replace(config, question=replace(config.question, clip=command.clip or None))
+    if command.imagined:
+        refuse_unseen(world)
+        config = replace(config, question=replace(config.question, imagined=True))
     spec = RunSpec(seed=command.seed, config=config, judge=PEOPLE, terminates=command.terminates)
     with new_store(command.store) as store:
         run_id = start(store, world, spec)
@@ -44,6 +47,20 @@ def teach(command: Teach) -> Facts:
             store.set_goal(run_id, command.goal)
         with page(run_id, store, command):
             return follow(store, run_id, world, command)
+
+
+def refuse_unseen(world: World) -> None:
+    """Sees to it that there is something to be seen of what was only imagined.
+
+    Raises:
+        InputError: only what happens can be filmed.
+    """
+    if world.start_filming() is not None and not world.films_imagined:
+        raise InputError(
+            f"got --imagined for {world.name}, of which only what happens can be filmed; what is imagined is drawn "
+            "from observations that begin with the places and velocities of all joints of a MuJoCo model, as those of "
+            "HalfCheetah-v5 do. Leave --imagined out, or observe the joints."
+        )
 
 
 def resume(store: Store, row: RunRow, command: Resume) -> Facts:

@@ -32,9 +32,11 @@ def train(command: Train) -> Facts:
     """Begins a run and does all of it; gives its summary."""
     judging = judge_from(command.judge)
     world = world_from(command.env, horizon=command.horizon, terminates=command.terminates)
+    asked: dict[str, Any] = {"clip": command.clip, "pick": command.ask}
+    asked |= {"practice": command.practice, "imagined": command.imagined}
     spec = RunSpec(
         seed=command.seed,
-        config=asking(config_of(command, world.name), judging, clip=command.clip, pick=command.ask),
+        config=asking(config_of(command, world.name), judging, **asked),
         judge=command.judge,
         eval_episodes=command.eval_episodes,
         terminates=command.terminates,
@@ -58,7 +60,7 @@ def config_of(command: Train, env: str) -> Config:
     """The preset's settings, with those of the flags that are set."""
     config = preset(command.preset, env)
     K = command.comparisons
-    changes: dict[str, Any] = {"comparisons": K, "warm_up": min(config.warm_up, K), "practice": command.practice}
+    changes: dict[str, Any] = {"comparisons": K, "warm_up": min(config.warm_up, K)}
     if command.optimism is not None:
         changes["optimism"] = command.optimism
     if command.search is not None:

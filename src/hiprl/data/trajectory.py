@@ -27,6 +27,8 @@ class Trajectory(eqx.Module):
     """How many actions were executed."""
     terminated: Flag
     """The world ended the episode; False when time ran out."""
+    imagined: Flag = eqx.field(default=False, converter=jnp.asarray)
+    """Nobody executed it: it is what a policy does in the model."""
 
     @property
     def steps(self) -> Bool[Array, " H"]:
@@ -56,13 +58,14 @@ class Trajectory(eqx.Module):
         n = jnp.minimum(length, self.length - start)
         rolled = lambda x: jnp.roll(x, -start, axis=0)
         ended = self.terminated & (start + n == self.length) & (n > 0)
-        return Trajectory(rolled(self.states), rolled(self.actions), rolled(self.rewards), n.astype(jnp.int32), ended)
+        steps = rolled(self.states), rolled(self.actions), rolled(self.rewards)
+        return Trajectory(*steps, n.astype(jnp.int32), ended, self.imagined)
 
     def seen(self) -> Trajectory:
         """The same without padding, as NumPy arrays: what a judge gets."""
         n = int(self.length)
         return eqx.tree_at(
-            lambda tau: (tau.states, tau.actions, tau.rewards, tau.length, tau.terminated),
+            lambda tau: (tau.states, tau.actions, tau.rewards, tau.length, tau.terminated, tau.imagined),
             self,
             (
                 np.asarray(self.states)[: n + 1],
@@ -70,12 +73,19 @@ class Trajectory(eqx.Module):
                 np.asarray(self.rewards)[:n],
                 np.asarray(self.length),
                 np.asarray(self.terminated),
+                np.asarray(self.imagined),
             ),
         )
 
 
 def trajectory_from(
-    states: ArrayLike, actions: ArrayLike, *, H: int, terminated: bool, rewards: ArrayLike | None = None
+    states: ArrayLike,
+    actions: ArrayLike,
+    *,
+    H: int,
+    terminated: bool,
+    rewards: ArrayLike | None = None,
+    imagined: bool = False,
 ) -> Trajectory:
     """A trajectory from what was recorded: one state more than actions, at most `H` actions.
 
@@ -113,4 +123,5 @@ def trajectory_from(
         rewards=jnp.asarray(np.pad(paid, (0, pad))),
         length=jnp.asarray(n, jnp.int32),
         terminated=jnp.asarray(terminated),
+        imagined=jnp.asarray(imagined),
     )

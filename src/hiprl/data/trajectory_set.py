@@ -14,7 +14,7 @@ from hiprl.types import Count
 
 
 class Trajectories(eqx.Module):
-    """T, in the order of execution. Its shapes never change, so nothing recompiles as it grows."""
+    """T, in the order of execution, and what was imagined on the way. Its shapes never change: nothing recompiles."""
 
     rows: Trajectory
     """A stack of `capacity` trajectories."""
@@ -29,6 +29,7 @@ class Trajectories(eqx.Module):
             rewards=jnp.zeros(H),
             length=jnp.zeros((), jnp.int32),
             terminated=jnp.zeros((), bool),
+            imagined=jnp.zeros((), bool),
         )
         return cls(jax.tree.map(lambda x: jnp.zeros((capacity, *x.shape), x.dtype), blank), jnp.zeros((), jnp.int32))
 
@@ -42,6 +43,11 @@ class Trajectories(eqx.Module):
         return jnp.arange(self.capacity) < self.count
 
     @property
+    def real(self) -> Bool[Array, " N"]:
+        """True for the rows that hold a trajectory which was executed."""
+        return self.filled & ~self.rows.imagined
+
+    @property
     def last(self) -> Count:
         """Index of the newest trajectory."""
         return self.count - 1
@@ -50,6 +56,11 @@ class Trajectories(eqx.Module):
         """T ∪ {τ}. The caller sees to it that there is room."""
         rows = jax.tree.map(lambda all_, one: all_.at[self.count].set(one), self.rows, tau)
         return Trajectories(rows, self.count + 1)
+
+    def executed(self) -> Trajectories:
+        """The same with no steps in what was only imagined: what the world is learned from."""
+        length = jnp.where(self.rows.imagined, 0, self.rows.length)
+        return eqx.tree_at(lambda T: T.rows.length, self, length)
 
     def get(self, i: Int[Array, ""] | int) -> Trajectory:
         """Trajectory number `i`, from 0."""

@@ -40,6 +40,8 @@ class QuestionConfig:
     """Answers that there are: 2 for a choice, 5 for five levels; None for a number."""
     candidates: int = 3000
     """Questions that are weighed up to find one."""
+    imagined: bool = False
+    """Ask about what a new policy does in the model as well, in clips that are marked so."""
     aligned: float = 0.5
     """Share of questions about the newest and the best trajectory, by r̂: there the policy is improved."""
 
@@ -89,7 +91,8 @@ def pick_clips(T: Trajectories, reward: EstimatedReward, config: QuestionConfig,
         return _uniform(T, config, key=key)
     draw_key, aligned_key, kind_key = jr.split(key, 3)
     anything = drawn(T, config, key=draw_key)
-    best = jnp.argmax(jnp.where(jnp.arange(T.capacity) < T.last, reward.returns(T), -jnp.inf))
+    older = T.real & (jnp.arange(T.capacity) < T.last)
+    best = jnp.argmax(jnp.where(older, reward.returns(T), -jnp.inf))
     aligned = _aligned(T, config, T.last, best, key=aligned_key)
     asked = jax.tree.map(partial(jnp.where, jr.bernoulli(kind_key, config.aligned)), aligned, anything)
     worth = information(T, reward, asked, config)

@@ -26,7 +26,7 @@ def counts(r: Float[Array, " steps"], T: Trajectories) -> Float[Array, " steps"]
     middle = jnp.nanmedian(jnp.where(mask, r, jnp.nan)[some])
     off = jnp.where(mask, r - middle, 0.0)
     square = jnp.sum((off**2).reshape(T.capacity, -1), axis=1) / jnp.maximum(T.rows.length, 1)
-    spread = jnp.sqrt(jnp.nanmedian(jnp.where(T.filled, square, jnp.nan)))
+    spread = jnp.sqrt(jnp.nanmedian(jnp.where(T.filled & (T.rows.length > 0), square, jnp.nan)))
     short = jnp.maximum(-off, 0.0) / jnp.where(spread > 0, FAR * spread, 1.0)
     return jnp.where(mask, 1 / (1 + short**4), 0.0)
 

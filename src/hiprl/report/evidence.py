@@ -42,7 +42,8 @@ def evidence_of(store: Store, row: RunRow) -> tuple[Trajectories, Preferences]:
     p, q = taus[0].states.shape[1], taus[0].actions.shape[1]
     T = Trajectories.empty(len(taus), H=H, p=p, q=q)
     for tau in taus:
-        T = T.add(trajectory_from(tau.states, tau.actions, H=H, terminated=tau.terminated, rewards=tau.rewards))
+        more = {"terminated": tau.terminated, "rewards": tau.rewards, "imagined": tau.imagined}
+        T = T.add(trajectory_from(tau.states, tau.actions, H=H, **more))
     return T, given_in(store, row, asked, capacity=len(asked))
 
 

@@ -29,6 +29,8 @@ class Executed(Protocol):
     def length(self) -> Any: ...
     @property
     def terminated(self) -> Any: ...
+    @property
+    def imagined(self) -> Any: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +49,7 @@ class RunRow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrajectoryRow:
-    """A trajectory τ as it was executed, without padding, in NumPy arrays."""
+    """A trajectory τ, without padding, in NumPy arrays."""
 
     number: int
     """Its index in T."""
@@ -60,6 +62,8 @@ class TrajectoryRow:
     """(length,): what the environment paid, NaN where nothing. For scripted judges and reports only."""
     length: int
     terminated: bool
+    imagined: bool = False
+    """Nobody executed it: it is what the policy does in the model."""
 
     @classmethod
     def of(cls, tau: Executed, *, number: int, kind: Kind) -> TrajectoryRow:
@@ -73,6 +77,7 @@ class TrajectoryRow:
             rewards=np.asarray(tau.rewards)[:n],
             length=n,
             terminated=bool(tau.terminated),
+            imagined=bool(tau.imagined),
         )
 
     @classmethod
@@ -86,6 +91,7 @@ class TrajectoryRow:
             rewards=array_from_bytes(row.rewards),
             length=row.length,
             terminated=row.terminated,
+            imagined=row.imagined,
         )
 
     def values(self) -> dict[str, Any]:
@@ -98,6 +104,7 @@ class TrajectoryRow:
             "rewards": array_to_bytes(self.rewards),
             "length": self.length,
             "terminated": self.terminated,
+            "imagined": self.imagined,
         }
 
     def differs_from(self, other: TrajectoryRow) -> str | None:
@@ -110,7 +117,7 @@ class TrajectoryRow:
             for t, (one, another) in enumerate(zip(mine, others, strict=False)):
                 if one.tobytes() != another.tobytes():
                     return f"its {name} differ from step {t} on"
-        for name in ("length", "terminated", "kind"):
+        for name in ("length", "terminated", "kind", "imagined"):
             mine, others = getattr(self, name), getattr(other, name)
             if mine != others:
                 return f"its {name} is {mine} and {others}"

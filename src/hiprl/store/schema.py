@@ -9,7 +9,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.engine import Dialect
 
-HEAD = "0004"
+HEAD = "0005"
 """Revision of the newest migration: what these tables are."""
 VERSION_TABLE = "hiprl_version"
 """Where a store keeps its revision. A database without it is not ours."""
@@ -97,6 +97,7 @@ trajectories = sa.Table(
     sa.Column("rewards", sa.LargeBinary, nullable=False),  # (length,)
     sa.Column("length", sa.Integer, nullable=False),
     sa.Column("terminated", sa.Boolean, nullable=False),
+    sa.Column("imagined", sa.Boolean, nullable=False, server_default=sa.false()),  # nobody executed it
     sa.Column("film", sa.LargeBinary),  # what a person is shown of it, `hiprl.data.film`
 )
 

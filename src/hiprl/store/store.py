@@ -198,15 +198,17 @@ class Store:
             )
             return [TrajectoryRow.read(row) for row in connection.execute(query)]
 
-    def film(self, run_id: str, number: int) -> bytes | None:
-        """What a person is shown of a trajectory; None if it was not filmed."""
+    def film(self, run_id: str, number: int) -> tuple[bytes | None, bool]:
+        """What a person is shown of a trajectory, None if it was not filmed; and whether it was only imagined."""
         mine = (trajectories.c.run_id == run_id) & (trajectories.c.number == number)
         with self._database.reading() as connection:
-            return connection.execute(sa.select(trajectories.c.film).where(mine)).scalar()
+            row = connection.execute(sa.select(trajectories.c.film, trajectories.c.imagined).where(mine)).one_or_none()
+            return (None, False) if row is None else (row.film, row.imagined)
 
     def newest(self, run_id: str, kind: Kind) -> int | None:
-        """Number of the newest trajectory of this kind; None if there is none."""
-        mine = (trajectories.c.run_id == run_id) & (trajectories.c.kind == kind)
+        """Number of the newest trajectory of this kind that was executed; None if there is none."""
+        executed = ~trajectories.c.imagined
+        mine = (trajectories.c.run_id == run_id) & (trajectories.c.kind == kind) & executed
         with self._database.reading() as connection:
             return connection.execute(sa.select(sa.func.max(trajectories.c.number)).where(mine)).scalar()
 
@@ -259,11 +261,12 @@ class Store:
             lock_run(connection, run_id, self.name)
             return add_question(connection, run_id, k, clips)
 
-    def open_question(self, run_id: str, k: int, tau: TrajectoryRow, clips: Sequence[ClipRow]) -> int:
+    def open_question(self, run_id: str, k: int, taus: Iterable[TrajectoryRow], clips: Sequence[ClipRow]) -> int:
         """`add_trajectory` and `ask` at once: what an episode must leave behind before a judge is asked."""
         with self._database.writing() as connection:
             lock_run(connection, run_id, self.name)
-            add_trajectory(connection, run_id, tau)
+            for tau in taus:
+                add_trajectory(connection, run_id, tau)
             return add_question(connection, run_id, k, clips)
 
     def questions(self, run_id: str | None = None, *, unanswered: bool = False) -> list[QuestionRow]:
@@ -342,8 +345,7 @@ class Store:
         facts: Mapping[str, Any],
         checkpoint: bytes,
         *,
-        tau: TrajectoryRow | None = None,
-        film: bytes | None = None,
+        taus: Iterable[tuple[TrajectoryRow, bytes | None]] = (),
     ) -> None:
         """Keep what episode k came to, and the state from which episode k + 1 goes on. Older checkpoints go.
 
@@ -352,16 +354,15 @@ class Store:
             k: the episode.
             facts: what it came to.
             checkpoint: the state after it.
-            tau: what it executed, if nothing was asked about that yet: an episode that is cut off then leaves nothing,
-                and may be another one when the run goes on.
-            film: what a person is shown of it.
+            taus: what it executed and imagined, each with what a person is shown of it, if nothing was asked about
+                that yet: an episode that is cut off then leaves nothing, and may be another one when the run goes on.
 
         Raises:
             StoreError: it was finished before, in another state.
         """
         with self._database.writing() as connection:
             lock_run(connection, run_id, self.name)
-            if tau is not None:
+            for tau, film in taus:
                 add_trajectory(connection, run_id, tau, film)
             add_episode(connection, run_id, k, facts, checkpoint)
 

@@ -35,14 +35,15 @@ class Shown:
         self._lock = threading.Lock()
         self._told: dict[str, tuple[float, Plain]] = {}
 
-    def _read_film(self, run_id: str, number: int) -> Film | np.ndarray:
-        film = self.store.film(run_id, number)
-        return self.store.trajectory(run_id, number).states if film is None else Film.from_bytes(film)
+    def _read_film(self, run_id: str, number: int) -> tuple[Film | np.ndarray, bool]:
+        film, imagined = self.store.film(run_id, number)
+        seen = self.store.trajectory(run_id, number).states if film is None else Film.from_bytes(film)
+        return seen, imagined
 
     def clip(self, run_id: str, clip: ClipRow) -> Plain:
         """What is seen of a clip."""
-        film = self._film(run_id, clip.of)
-        told: Plain = {"trajectory": clip.of, "start": clip.start}
+        film, imagined = self._film(run_id, clip.of)
+        told: Plain = {"trajectory": clip.of, "start": clip.start, "imagined": imagined}
         if isinstance(film, np.ndarray):
             end = None if clip.length is None else clip.start + clip.length + 1
             states = film[clip.start : end]

@@ -6,7 +6,7 @@ import base64
 import io
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,26 +37,75 @@ class Camera(ABC):
     def film(self, looks: list[Any]) -> Film:
         """The looks of an episode together."""
 
+    def reads(self, s: np.ndarray) -> bool:
+        """Whether it can tell from the observation `s`, which is the newest one, what it looks at."""
+        return False
+
+    def film_of(self, states: np.ndarray) -> Film | None:
+        """A film of observations (n, p) that nobody saw; None if it does not read them."""
+        return None
+
+
+class Layout(NamedTuple):
+    """Where the joints of a MuJoCo model stand in an observation: places and then velocities, at its beginning."""
+
+    left_out: int
+    """First places that it leaves out: those along which all is the same."""
+    places: int
+    velocities: int
+
+    @classmethod
+    def of(cls, inner: Any) -> Layout | None:
+        """What an environment of Gymnasium's says of its own; None where it says nothing, or not of all joints."""
+        told = getattr(inner, "observation_structure", None)
+        if not isinstance(told, dict) or not {"qpos", "qvel"} <= told.keys():
+            return None
+        layout = cls(int(told.get("skipped_qpos", 0)), int(told["qpos"]), int(told["qvel"]))
+        whole = layout.left_out + layout.places == inner.model.nq and layout.velocities == inner.model.nv
+        return layout if whole else None
+
 
 class Bodies(Camera):
     """The bodies of a MuJoCo model: a page draws them, so that nothing needs to be rendered here."""
 
-    def __init__(self, model: Any, data: Any, dt: float):
+    def __init__(self, model: Any, data: Any, dt: float, layout: Layout | None = None):
         import mujoco  # only here: other worlds run where it cannot be loaded
 
         self._mujoco: Any = mujoco  # it comes without types
         self._model, self._data, self._own = model, data, self._mujoco.MjData(model)
+        self._layout, self._dt = layout, dt
         self.scene = {"kind": "mujoco", "dt": dt, "bodies": int(model.nbody), **_geoms(model)}
 
     def look(self) -> np.ndarray:
         # The simulation's own poses are those before its last step in time, and are not ours to renew.
         own = self._own
-        own.qpos[:], own.mocap_pos[:], own.mocap_quat[:] = self._data.qpos, self._data.mocap_pos, self._data.mocap_quat
+        own.mocap_pos[:], own.mocap_quat[:] = self._data.mocap_pos, self._data.mocap_quat
+        return self._poses(self._data.qpos)
+
+    def _poses(self, places: np.ndarray) -> np.ndarray:
+        """Of all bodies, with the joints at these places."""
+        own = self._own
+        own.qpos[:] = places
         self._mujoco.mj_kinematics(self._model, own)
         return np.concatenate([own.xpos, own.xquat], axis=1).astype(np.float32)
 
     def film(self, looks: list[Any]) -> Film:
         return Film(poses=np.stack(looks))
+
+    def reads(self, s: np.ndarray) -> bool:
+        if self._layout is None:
+            return False
+        skip, n, m = self._layout
+        joints = np.concatenate([self._data.qpos[skip:], self._data.qvel])
+        return len(s) >= n + m and np.allclose(s[: n + m], joints, atol=1e-4)
+
+    def film_of(self, states: np.ndarray) -> Film | None:
+        if self._layout is None:
+            return None
+        skip, n, _ = self._layout
+        moved = self._dt * np.cumsum(states[:-1, n : n + skip], axis=0, dtype=np.float64)
+        left_out = self._model.qpos0[:skip] + np.concatenate([np.zeros((1, skip)), moved])
+        return Film(poses=np.stack([self._poses(places) for places in np.hstack([left_out, states[:, :n]])]))
 
 
 class Pictures(Camera):
@@ -100,7 +149,7 @@ def camera_of(env: Any, *, drawn: bool = False) -> Camera | None:
     sizes = LARGE if drawn else SMALL
     model, data = getattr(inner, "model", None), getattr(inner, "data", None)
     if hasattr(model, "geom_type") and hasattr(data, "xquat"):
-        return Pictures(_drawing(inner), dt, sizes=sizes) if drawn else Bodies(model, data, dt)
+        return Pictures(_drawing(inner), dt, sizes=sizes) if drawn else Bodies(model, data, dt, Layout.of(inner))
     return Pictures(env.render, dt, sizes=sizes) if getattr(env, "render_mode", None) == "rgb_array" else None
 
 

@@ -68,6 +68,7 @@ class GymWorld(World):
         self._low, self._high = low, high
         self._camera: Camera | None = None
         self._looks: list[Any] = []
+        self._reads = False
         self._centre, self._half = low / 2 + high / 2, high / 2 - low / 2
 
     def roll_out(self, actor: Actor, *, key: Key) -> Trajectory:
@@ -99,6 +100,9 @@ class GymWorld(World):
         if self._camera is None and (env := self._that_draws()) is not None:
             self.env.close()
             self.env, self._camera = env, camera_of(env, drawn=drawn)
+        if self._camera is not None and not drawn:
+            with quiet():
+                self._reads = self._camera.reads(self._reset(0))
         return None if self._camera is None else self._camera.scene
 
     def _that_draws(self) -> gym.Env | None:
@@ -120,6 +124,13 @@ class GymWorld(World):
     @property
     def film(self) -> Film | None:
         return None if self._camera is None or not self._looks else self._camera.film(self._looks)
+
+    @property
+    def films_imagined(self) -> bool:
+        return self._reads
+
+    def film_of(self, states: np.ndarray) -> Film | None:
+        return self._camera.film_of(states) if self._camera is not None and self._reads else None
 
     def names(self) -> Names:
         return names_of(self.env, self.p, self.q)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -38,6 +39,11 @@ class JaxWorld(World):
                 "horizon."
             )
         return tau
+
+    prices = True
+
+    def priced(self, tau: Trajectory) -> Trajectory:
+        return eqx.tree_at(lambda tau: tau.rewards, tau, jax.vmap(self.task.r)(tau.states[:-1], tau.actions))
 
     def spec(self) -> str | None:
         return self._spec

@@ -41,6 +41,13 @@ class World(ABC):
             WorldError: the environment raised, gave a value that is not finite, or changed its shapes.
         """
 
+    prices: bool = False
+    """Whether it knows what it would have paid for steps that were only imagined."""
+
+    def priced(self, tau: Trajectory) -> Trajectory:
+        """An imagined trajectory with what the world would have paid for it, for scripted judges; NaN if unknown."""
+        return tau
+
     def scaled(self, a: np.ndarray) -> np.ndarray:
         """Actions in [-1, 1] as the world's own: one (q,) or a batch (n, q)."""
         return a
@@ -63,6 +70,15 @@ class World(ABC):
     @property
     def film(self) -> Film | None:
         """Of the newest episode; None if it was not filmed."""
+        return None
+
+    @property
+    def films_imagined(self) -> bool:
+        """Whether, while it films, there is a film of states that were only imagined too."""
+        return False
+
+    def film_of(self, states: np.ndarray) -> Film | None:
+        """What there would be to be seen in states (n, p) that were only imagined; None if it cannot tell."""
         return None
 
     def spec(self) -> str | None:
