@@ -17,6 +17,7 @@ from hiprl.algorithm import lived
 from hiprl.config import PEOPLE, Config, teachable
 from hiprl.control.policy import Uniform
 from hiprl.data.answer import choice, level
+from hiprl.data.film import Film
 from hiprl.errors import InputError
 from hiprl.models.estimate import estimate_reward
 from hiprl.report.evidence import evidence_of, opinions
@@ -339,3 +340,27 @@ def test_next_to_nothing_is_no_news():
     at = lambda last: improved(np.array([0.0, -1.0, 10.0, last]), tried)
     assert at(10.5) and not at(10.01) and not at(3.0)
     assert improved(np.array([5.0, 4.0, -3.0]), tried)  # the first policy is news in any case
+
+
+def test_people_are_shown_what_was_imagined_too(tmp_path):
+    path = str(tmp_path / "runs.db")
+    config = replace(CONFIG, question=replace(CONFIG.question, imagined=True))
+    world = world_from("InvertedPendulum-v5", horizon=20)
+    with open_store(path) as store:
+        run_id = start(store, world, RunSpec(seed=3, config=config, judge=PEOPLE))
+        judge = Judge(path, run_id)
+        judge.start()
+        summary = taught(store, run_id, world)
+        judge.stop.set()
+        judge.join()
+        rows, facts = store.trajectories(run_id), [facts for _, facts in store.episodes(run_id)]
+        imagined = [row.imagined for row in rows]
+        searches = sum(one["searched"] for one in facts)
+        assert searches >= 2 and imagined == [False] * (len(facts) + 1 - searches) + [True, False] * searches
+        films = [store.film(run_id, row.number) for row in rows]
+        for row, (film, marked) in zip(rows, films, strict=True):
+            poses = Film.from_bytes(film).poses
+            assert marked == row.imagined and poses is not None and len(poses) == row.length + 1
+        shown = [clip.of for question in store.questions(run_id) for clip in question.clips]
+        assert any(imagined[of] for of in shown)
+        assert summary["comparisons"] == config.comparisons and len(rows) <= config.trajectories
