@@ -9,6 +9,9 @@ The default preset with judges that say less than the exact difference of two re
   uniform    choices about clips that are picked uniformly, the newest trajectory against any older one
   whole      choices about whole episodes that are picked uniformly
 
+As by default, an episode of practice follows each answer that is no number, so that these arms search twice for each
+answer, and execute 26 episodes more in a run of 30.
+
 A run has as many comparisons as the greatest of --after; what it would have reported after fewer is read off on the
 way: the executed return of the policy that r̂ ranked best by then. Hopper-v5 and Walker2d-v5 have numbers only, beside
 REDQ's published returns after as many steps with the true reward (Chen et al., 2021: 1661 and 599 at 30,000).
@@ -25,11 +28,11 @@ from benchmarks.runner import Job, Outcome, add_running, by_arm, run_all, seeds_
 CHEETAH = "HalfCheetah-v5"
 ARMS: dict[str, dict[str, Any]] = {
     "numeric": {},
-    "levels": {"judge": "graded"},
-    "choice": {"judge": "choice"},
-    "mistaken": {"judge": "choice:mistake=0.1"},
-    "uniform": {"judge": "choice", "ask": "uniform"},
-    "whole": {"judge": "choice", "ask": "uniform", "clip": 0},
+    "levels": {"judge": "graded", "practice": 1},
+    "choice": {"judge": "choice", "practice": 1},
+    "mistaken": {"judge": "choice:mistake=0.1", "practice": 1},
+    "uniform": {"judge": "choice", "practice": 1, "ask": "uniform"},
+    "whole": {"judge": "choice", "practice": 1, "ask": "uniform", "clip": 0},
 }
 REDQ = {"Hopper-v5": 1661.0, "Walker2d-v5": 599.0}
 """Mean return after 30,000 steps, with the true reward (Chen et al., 2021)."""
@@ -54,6 +57,7 @@ def row(env: str, arm: str, outcomes: list[tuple[Job, Outcome]], after: list[int
         reported = [outcome["reported"][k - 1] for _, outcome in outcomes]
         known = [x for x in reported if x is not None]
         found[f"after {k}"] = sum(known) / len(known) if known else None
+    found["env_steps"] = max(outcome["env_steps"] for _, outcome in outcomes)
     found["right_side"] = mean_of(outcomes, "foreseen")
     if env in REDQ:
         found["REDQ"] = REDQ[env]

@@ -56,7 +56,7 @@ def smooth_noise(trajectories: int, steps: int, *, seed: int) -> Trajectories:
     rewards = states[:, 1:, 8] - 0.1 * np.sum(actions**2, axis=-1)
     length = jnp.full(trajectories, steps, jnp.int32)
     arrays = [jnp.asarray(a, jnp.float32) for a in (states, actions, rewards)]
-    rows = Trajectory(*arrays, length, jnp.zeros(trajectories, bool))
+    rows = Trajectory(*arrays, length, *[jnp.zeros(trajectories, bool)] * 2)
     return jax.block_until_ready(Trajectories(rows, jnp.asarray(trajectories, jnp.int32)))
 
 

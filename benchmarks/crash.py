@@ -63,10 +63,7 @@ def facts(store: Path) -> dict[str, Any]:
             "summary": {name: x for name, x in summary.items() if name not in OWN},
             "episodes": episodes,
             "answers": [(answer.k, answer.g) for answer in opened.answers(run)],
-            "trajectories": [
-                (row.number, row.kind, *(x.tobytes() for x in (row.states, row.actions, row.rewards)), row.terminated)
-                for row in opened.trajectories(run)
-            ],
+            "trajectories": [row.values() for row in opened.trajectories(run)],
             "policy": opened.policy(run),
         }
 

@@ -35,12 +35,15 @@ def accuracies(path: Path, pick: str, judge: str, after: list[int], *, seed: int
     from hiprl.feedback.judging import checked
     from hiprl.feedback.questions import QuestionConfig, drawn, pick_clips
     from hiprl.models.estimate import estimate_reward
-    from hiprl.models.reward import AdditiveConfig, AdditiveReward, clip_sum
+    from hiprl.models.evidence import clip_sum
+    from hiprl.models.reward import AdditiveConfig, AdditiveReward
     from hiprl.report.evidence import evidence_of
+    from hiprl.spec import from_plain
     from hiprl.store.store import open_store
 
     with open_store(path, create=False) as store:
-        T = evidence_of(store, store.runs()[0])[0]
+        row = store.runs()[0]
+        T, asked = evidence_of(store, row)[0], from_plain(row.spec["config"])
     config = QuestionConfig(clip=CLIP, pick=pick, levels=2)
     key, judging = jr.key(seed), judge_from(judge)
     held_out = drawn(T, QuestionConfig(clip=CLIP, candidates=PAIRS), key=jr.fold_in(key, 1 << 20))
@@ -53,7 +56,8 @@ def accuracies(path: Path, pick: str, judge: str, after: list[int], *, seed: int
 
     reward, P, found = None, Preferences.empty(max(after)), []
     for k in range(1, max(after) + 1):
-        there = eqx.tree_at(lambda T: T.count, T, jnp.minimum(jnp.asarray(k + 1), T.count))
+        at_hand = asked.number_after(k - 1) + 1  # as the run itself had them at answer k
+        there = eqx.tree_at(lambda T: T.count, T, jnp.minimum(jnp.asarray(at_hand), T.count))
         reward = estimate_reward(P, there, reward, AdditiveConfig())
         pick_key, ask_key = jr.split(jr.fold_in(key, k))
         clips = pick_clips(there, reward, config, key=pick_key)

@@ -114,7 +114,7 @@ def taught(wish: Wish, *, answers: int, seed: int, store: str) -> dict[str, Any]
         "answers": given,
         "return": final["return_mean"],
         "return_std": final["return_std"],
-        "episodes": newest,
+        "episodes": None if newest is None else newest[1],
         "env_steps": final["env_steps"],
         "wait_95": waits[int(0.95 * (len(waits) - 1))] if waits else None,
         "minutes": (time.monotonic() - began) / 60,

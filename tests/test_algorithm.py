@@ -364,7 +364,7 @@ def test_what_is_imagined_stands_before_the_episode_of_its_policy(dreamt):
 def test_what_is_imagined_follows_the_model_and_is_priced_by_the_world(dreamt):
     _, done, config, world = dreamt
     new, before = done[config.warm_up - 1].question.attempt, done[config.warm_up - 2].run
-    tau = jax.tree.map(np.asarray, new.imagined)
+    tau = jax.tree.map(np.asarray, new.dream)
     firsts = np.asarray(before.T.rows.states[: int(before.T.count), 0])
     assert tau.imagined and not new.tau.imagined and (firsts == tau.states[0]).all(axis=1).any()
     policy = jax.vmap(new.state.policy.mode)(jnp.asarray(tau.states[:-1]))

@@ -17,7 +17,7 @@ from jax.tree_util import Partial
 
 from hiprl.config import Config
 from hiprl.control.archive import Archive
-from hiprl.control.imagine import imagine
+from hiprl.control.dream import dream
 from hiprl.control.imagined import Ends, SearchReport, SearchState
 from hiprl.control.plan import Noisy, planned
 from hiprl.control.policy import Uniform
@@ -39,7 +39,6 @@ from hiprl.types import Count, Flag, Key, Scalar
 from hiprl.world.task import World
 
 BEGINNING = (1 << 30) - 1  # folded into the run's key before the loop; no run has as many episodes
-IMAGINING = BEGINNING - 1  # folded into an attempt's key for what is imagined to be asked about
 LOST = 2  # setbacks at a policy that is worse than random actions, after which a search begins anew
 OVERPROMISE = 3.0  # times the executed return, by which imagination may exceed it before κ is halved
 
@@ -68,12 +67,12 @@ class Attempt(eqx.Module):
     """What that search believes to have reached."""
     searched: bool = eqx.field(static=True)
     """False in the warm-up, where the actions are random."""
-    imagined: Trajectory | None = None
+    dream: Trajectory | None = None
     """What its policy does in the model; None where nobody is asked about that."""
 
     def added(self, T: Trajectories) -> Trajectories:
         """T with what came of this."""
-        return (T if self.imagined is None else T.add(self.imagined)).add(self.tau)
+        return (T if self.dream is None else T.add(self.dream)).add(self.tau)
 
 
 class Question(eqx.Module):
@@ -81,7 +80,7 @@ class Question(eqx.Module):
 
     attempt: Attempt
     clips: Clip
-    """A stack: what is shown, in order. The new trajectory is the one after the last of T."""
+    """A stack: what is shown, in order. The new trajectory is the last of T once it was added."""
 
     @property
     def tau(self) -> Trajectory:
@@ -159,7 +158,7 @@ def attempt(run: Run, world: World, config: Config, *, key: Key) -> Attempt:
     Raises:
         FitDiverged: what the search believes to have reached is not finite.
     """
-    search_key, world_key = jr.split(key)
+    search_key, world_key, dream_key = jr.split(key, 3)
     state, setbacks = restart(run, config)
     if int(run.k) + 1 < config.warm_up:
         random = Uniform.draw(world.q, key=search_key) if config.babble == "varied" else Uniform(jnp.ones(()), world.q)
@@ -177,8 +176,8 @@ def attempt(run: Run, world: World, config: Config, *, key: Key) -> Attempt:
     tau = world.roll_out(Noisy(acting, config.plan.noise), key=world_key)  # plans (a, η), executes a
     if not config.question.imagined:
         return Attempt(tau, state, report, searched=True)
-    imagined = imagine(f_tilde, state.policy, ends, run.T, key=jr.fold_in(key, IMAGINING))
-    return Attempt(tau, state, report, searched=True, imagined=world.priced(imagined))
+    imagined = dream(f_tilde, state.policy, ends, run.T, key=dream_key)
+    return Attempt(tau, state, report, searched=True, dream=world.priced(imagined))
 
 
 def propose(run: Run, world: World, config: Config, *, key: Key) -> Question:

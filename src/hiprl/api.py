@@ -96,7 +96,8 @@ def learn(
         config: settings; the default ones if None.
         clip: steps of the clips that are compared, 0 for whole trajectories; what suits the judge if None.
         ask: `uniform` or `information`, how the clips are picked; what suits the judge if None.
-        practice: episodes after each answer that nobody is asked about; what suits the judge if None.
+        practice: episodes after each answer that nobody is asked about; what suits the judge if None, but no fewer
+            than `config` has.
         imagined: ask about what a new policy does in the model as well; such a clip has `imagined` set.
         horizon: most steps in an episode, where the environment sets no limit.
         terminates: when an episode ends, if that is known: a function of (s, a, s′) in JAX.

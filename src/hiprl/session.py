@@ -224,7 +224,7 @@ def one_episode(
 def rows_of(new: Attempt, number: int) -> list[TrajectoryRow]:
     """What an episode imagined, if it was to, and what it executed, as the store keeps them, from this number on."""
     kind = "policy" if new.searched else "random"
-    taus = [tau for tau in (new.imagined, new.tau) if tau is not None]
+    taus = [tau for tau in (new.dream, new.tau) if tau is not None]
     return [TrajectoryRow.of(tau, number=i, kind=kind) for i, tau in enumerate(taus, start=number)]
 
 

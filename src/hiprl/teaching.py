@@ -261,7 +261,7 @@ def taught(
         scene = world.start_filming()
         store.set_scene(run_id, scene or states_only(world))
         known = Known(latest(store, run_id, world, spec))
-        while executed(known.run) < min(SEEN, config.warm_up):
+        while episodes_of(known.run) < min(SEEN, config.warm_up):
             practised(store, run_id, known, world, config, None, watch, key=key)
         with Asking(store, row, config, known, key=jr.fold_in(key, ASKING)) as asking:
             idle, heard, waits = 0, known.answers, ""
@@ -270,7 +270,7 @@ def taught(
                     raise asking.failed
                 idle, heard = 0 if known.answers != heard else idle, known.answers
                 to_come = 0 if store.enough(run_id) else max(0, config.comparisons - heard)
-                lived_so_far, most = executed(known.run), config.executed_after(config.comparisons)
+                lived_so_far, most = episodes_of(known.run), config.executed_after(config.comparisons)
                 room = lived_so_far < max(config.warm_up, most - to_come)  # an episode an answer
                 resting = idle >= PRACTICE or not room
                 if not to_come and resting and not asking.behind():
@@ -329,7 +329,7 @@ def practised(
     watch(facts)
 
 
-def executed(run: Run) -> int:
+def episodes_of(run: Run) -> int:
     """How many episodes there were."""
     return int(jnp.sum(run.T.real))
 

@@ -40,6 +40,14 @@ def few(monkeypatch):
     monkeypatch.setattr(module, "SPAN", STEPS)
 
 
+def test_what_can_be_done_is_what_was_executed(T, reward):
+    marked = eqx.tree_at(lambda T: T.rows.imagined, T, jnp.arange(N) == 2)
+    (_, before), (_, after) = seen(T, reward), seen(marked, reward)
+    before, after = (np.asarray(there).reshape(N, -1) for there in (before, after))
+    assert before[2].any() and not after[2].any()
+    np.testing.assert_array_equal(np.delete(before, 2, axis=0), np.delete(after, 2, axis=0))
+
+
 def draws(reward):
     """Draws of θ."""
     root = np.asarray(reward.root, float)

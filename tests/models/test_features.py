@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -72,6 +73,16 @@ def test_padding_changes_no_feature(T, features):
     for x, y in zip(jax.tree.leaves(features), jax.tree.leaves(features_of(steps_of(clean(T)))), strict=True):
         assert np.isfinite(x).all()
         np.testing.assert_array_equal(x, y)
+
+
+def test_what_was_only_imagined_changes_no_feature(T, features):
+    dreams = jnp.arange(T.capacity) % 3 == 1
+    marked = eqx.tree_at(lambda T: T.rows.imagined, T, dreams)
+    wild = eqx.tree_at(lambda T: T.rows.states, marked, jnp.where(dreams[:, None, None], 1e4, T.rows.states))
+    with_dreams, without = (features_of(steps_of(T)) for T in (wild, marked.executed()))
+    for x, y in zip(jax.tree.leaves(with_dreams), jax.tree.leaves(without), strict=True):
+        np.testing.assert_array_equal(x, y)
+    assert not np.array_equal(without.scaler.mean, features.scaler.mean)
 
 
 def test_the_prior_is_as_wide_for_the_bias_as_for_all_the_rest(features):

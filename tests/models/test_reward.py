@@ -1,5 +1,6 @@
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -204,6 +205,16 @@ def test_an_imagined_reward_stays_near_the_rewards_seen(T):
     assert (
         np.asarray(wild).max() <= seen.max() + 0.2501 * width and np.asarray(wild).min() >= seen.min() - 0.2501 * width
     )
+
+
+def test_what_was_only_imagined_sets_neither_the_range_nor_the_unit(T):
+    dreams = jnp.arange(T.capacity) == PAIRS[-1][0]
+    marked = eqx.tree_at(lambda T: T.rows.imagined, T, dreams)
+    wild = eqx.tree_at(lambda T: T.rows.states, marked, jnp.where(dreams[:, None, None], 1e3, T.rows.states))
+    P = said(T, linear_truth, PAIRS[:-1])  # nothing about it
+    found, wanted = (estimate_additive_reward(P, T, AdditiveConfig()) for T in (wild, marked.executed()))
+    for name in ("low", "high", "unit"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
 
 
 def test_before_any_answer_nothing_is_expected(T, gap):

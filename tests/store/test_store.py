@@ -166,7 +166,9 @@ def test_a_trajectory_comes_back_bit_for_bit(
     assert back.states.shape == (n + 1, 5)
     assert (back.length, back.terminated, back.number, back.imagined) == (n, terminated, 13, imagined)
     assert store.film(run_id, 13) == (None, imagined)
-    assert store.newest(run_id, "policy") == (None if imagined else 13)
+    assert store.newest(run_id, "policy") == (None if imagined else (13, 0))
+    store.add_trajectory(run_id, 14, replace(tau, number=14, imagined=False), "policy")
+    assert store.newest(run_id, "policy") == (14, 0 if imagined else 1) and store.newest(run_id, "random") is None
     with pytest.raises(StoreError, match=f"its imagined is {imagined}"):
         store.add_trajectory(run_id, 13, replace(tau, imagined=not imagined), "policy")
 
@@ -284,7 +286,7 @@ def test_numbers_of_numpy_and_jax_make_the_same_clip(store: Store, run_id: str):
         ([ClipRow(0)] * 9, r"got 9 clips .*; a question is about 1 to 8\. .* spread many"),
         (
             [ClipRow(0), ClipRow(5)],
-            r"got a clip of trajectory 5, .*; only what was executed can be asked about\. Count from 0",
+            r"got a clip of trajectory 5, .*; only what is stored can be asked about\. Count from 0",
         ),
         ([ClipRow(-1)], r"got a clip of trajectory -1, .* asked about\. Count from 0"),
         ([ClipRow(1, 7)], r"starts at step 7 of trajectory 1, which has 7; a step from 0 to 6 is needed\. Start it"),

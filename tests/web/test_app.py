@@ -178,7 +178,8 @@ def test_review_marks_where_the_reward_disagrees(client, store: Store, run_id: s
 
 def test_what_it_does_now_is_its_newest_policy(client, store: Store, run_id: str):
     found = client.get(f"/api/runs/{run_id}/now").json()
-    assert found["episode"] == 2 and found["clip"]["steps"] == 26
+    assert (found["clip"]["trajectory"], found["clip"]["steps"]) == (2, 26)
+    assert found["episode"] == 1  # of those that were executed, from 0
     assert client.get(f"/api/runs/{a_taught_run(store, trajectories=2)}/now").json() == {"clip": None, "episode": None}
 
 

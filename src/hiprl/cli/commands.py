@@ -93,13 +93,13 @@ class Train:
     ] = None
     """How clips are picked: the newest trajectory and any older ones, or what is expected to tell most."""
     comparisons: Annotated[int, arg(metavar="K")] = 30
-    """Comparisons that the judge answers; one an episode."""
+    """Comparisons that the judge answers."""
     practice: Annotated[
         int | None, arg(metavar="N", help_behavior_hint="(default: 0 for exact and noisy, 1 for the others)")
     ] = None
     """Episodes after each answer that nobody is asked about: they cost steps in the environment, and time."""
     imagined: Imagined = False
-    """Ask about what a new policy does in the model as well, where the world can tell what it would pay for that:
+    """Ask about what each new policy does in the model as well, where the world can tell what it would pay for that:
     the built-in ones can."""
     seed: int = 0
     """Decides all draws; whole number."""

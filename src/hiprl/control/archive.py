@@ -12,7 +12,7 @@ from hiprl.types import Count
 
 
 class Archive(eqx.Module):
-    """The search behind each trajectory of T, in the same rows; random trajectories have none."""
+    """The search behind each trajectory of T, in the same rows; random and imagined ones have none."""
 
     states: SearchState
     """A stack of `capacity` searches."""

@@ -13,7 +13,7 @@ from hiprl.types import Count, Flag, Scalar
 
 
 class Trajectory(eqx.Module):
-    """τ = (s_0, a_0, …, s_H) as it was executed: at most H actions, then padding.
+    """τ = (s_0, a_0, …, s_H) as it was executed, or imagined: at most H actions, then padding.
 
     The paper's τ ends with a_{H-1}; s_H is kept as well, since a fall is seen in no other state.
     """
@@ -22,7 +22,7 @@ class Trajectory(eqx.Module):
     actions: Float[Array, "H q"]
     """Each entry in [-1, 1]; the world scales them to its own bounds."""
     rewards: Float[Array, " H"]
-    """What the environment paid; NaN where it pays nothing. For scripted judges and reports, never for learning."""
+    """What the environment paid, or would; NaN where nothing. For scripted judges and reports, never for learning."""
     length: Count
     """How many actions were executed."""
     terminated: Flag

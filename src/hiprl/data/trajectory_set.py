@@ -83,8 +83,8 @@ class Trajectories(eqx.Module):
         return self.filled[:, None] & (t[None] <= self.rows.length[:, None])
 
     def first_states(self) -> Float[Array, "N p"]:
-        """s_0 of each trajectory; rows past the count repeat the first one."""
-        return jnp.where(self.filled[:, None], self.rows.states[:, 0], self.rows.states[0, 0])
+        """s_0 of each executed trajectory; all other rows repeat the first one."""
+        return jnp.where(self.real[:, None], self.rows.states[:, 0], self.rows.states[0, 0])
 
     def box(self, *, margin: float) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
         """Least and greatest of each entry of the states seen, widened by this share of their distance."""

@@ -27,7 +27,7 @@ class Judging:
     """A judge inside hiprl, and what it has to be shown."""
 
     answer: Callable[..., Any]
-    """(clips, hand, *, key) to an answer: the clips shown, and all that was executed so far. Asked by `checked`."""
+    """(clips, hand, *, key) to an answer: the clips shown, and all that there is so far. Asked by `checked`."""
     form: Form | None = None
     """What it answers with, but for `equal` and `unsure`; None for a function of one's own."""
     items: int = 2

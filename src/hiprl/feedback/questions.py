@@ -43,7 +43,7 @@ class QuestionConfig:
     imagined: bool = False
     """Ask about what a new policy does in the model as well, in clips that are marked so."""
     aligned: float = 0.5
-    """Share of questions about the newest and the best trajectory, by r̂: there the policy is improved."""
+    """Share of questions about the newest and the best executed trajectory, by r̂: there the policy is improved."""
 
     def __post_init__(self) -> None:
         if self.clip is not None and self.clip < 1:

@@ -61,18 +61,18 @@ def worth(T: Trajectories, reward: AdditiveReward, config: QuestionConfig, *, ke
     best = jnp.max(jnp.where(there[None, None], after, -jnp.inf), axis=-1)
     now = jnp.max(jnp.where(there, returns, -jnp.inf))
     gain = jnp.max(jnp.sum(chance * best, axis=1) - now)
-    episodes = jnp.where(T.filled, reward.returns(T), 0.0)  # one that ended early earned no more
-    mean = jnp.sum(episodes) / jnp.maximum(T.count * T.rows.actions.shape[1], 1)
+    episodes = jnp.where(T.real, reward.returns(T), 0.0)  # one that ended early earned no more
+    mean = jnp.sum(episodes) / jnp.maximum(jnp.sum(T.real) * T.rows.actions.shape[1], 1)
     return jnp.clip(gain / jnp.maximum(now - mean, 1e-12), 0.0, 1.0)
 
 
 def seen(T: Trajectories, reward: AdditiveReward) -> tuple[Float[Array, "n D"], Bool[Array, " n"]]:
-    """Mean of φ over clips from everywhere in T, and which of them are there."""
+    """Mean of φ over clips from everywhere in T, and which of them are there and were executed."""
     H = T.rows.actions.shape[1]
     starts = jnp.arange(0, H, SPAN)
     at = Clip(*jnp.broadcast_arrays(jnp.arange(T.capacity)[:, None], starts[None], jnp.asarray(SPAN)))
     steps = jnp.minimum(T.rows.length[:, None] - at.start, SPAN)
-    there = T.filled[:, None] & (steps >= min(SPAN, H) // 2)
+    there = T.real[:, None] & (steps >= min(SPAN, H) // 2)
     flat = jax.tree.map(lambda x: x.reshape(-1), at)
     return clip_sums(reward.features, T, flat, SPAN) / jnp.maximum(steps.reshape(-1), 1)[:, None], there.reshape(-1)
 

@@ -25,8 +25,8 @@ TOGETHER, PART = 8, 512  # clips, and steps, whose features are made at a time: 
 
 @jax.jit
 def features_of(steps: Steps) -> AdditiveFeatures:
-    """Features standardised over these steps, with the box of what was seen, a margin added."""
-    x, mask = steps
+    """Features standardised over those of these steps that were executed, with the box of them, a margin added."""
+    x, mask = steps.x, steps.executed
     alone = jax.vmap(lambda x: Scaler.of(x[:, None], mask))(x)
     scaler = jax.tree.map(lambda each: each[:, 0], alone)
     least = scaler.down(jnp.min(jnp.where(mask[None], x, jnp.inf), axis=1))

@@ -126,8 +126,8 @@ class Shape(NamedTuple):
 
 
 def shapes(reward: AdditiveReward, T: Trajectories, *, points: int = 61) -> Shape:
-    """What the posterior mean rewards, coordinate by coordinate of (s, a), stacked."""
-    return _shapes(reward, T, jnp.linspace(0.02, 0.98, points))
+    """What the posterior mean rewards, coordinate by coordinate of (s, a), stacked; over what was executed."""
+    return _shapes(reward, T.executed(), jnp.linspace(0.02, 0.98, points))
 
 
 @jax.jit

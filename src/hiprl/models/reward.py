@@ -231,8 +231,9 @@ def _posterior(
 
 @jax.jit
 def additive_reward(T: Trajectories, seen: Evidence, mean, prior, root, errors: Errors) -> AdditiveReward:
-    """The posterior with the range of r̂ over the steps of T."""
-    r, mask = values(seen.features, seen.X, mean), T.transitions().mask
+    """The posterior with the range of r̂ over the executed steps of T."""
+    r, T = values(seen.features, seen.X, mean), T.executed()
+    mask = T.transitions().mask
     low = jnp.min(jnp.where(mask, r, jnp.inf))
     high = jnp.max(jnp.where(mask, r, -jnp.inf))
     margin = BOX_MARGIN * (high - low)

@@ -22,6 +22,8 @@ class Steps(NamedTuple):
     x: Float[Array, "n steps"]
     """(s, a) of each, every entry a row; 0 where there is no step."""
     mask: Bool[Array, " steps"]
+    executed: Bool[Array, " steps"]
+    """The same but for those that were only imagined."""
 
 
 @jax.jit
@@ -29,7 +31,8 @@ def steps_of(T: Trajectories) -> Steps:
     """The steps of T."""
     rows = T.transitions()
     clean = lambda x: jnp.where(rows.mask[:, None], x, 0.0)
-    return Steps(side_by_side(clean(rows.s), clean(rows.a)), rows.mask)
+    real = jnp.repeat(T.real, T.rows.actions.shape[1])
+    return Steps(side_by_side(clean(rows.s), clean(rows.a)), rows.mask, rows.mask & real)
 
 
 def side_by_side(s: Float[Array, "steps p"], a: Float[Array, "steps q"]) -> Float[Array, "n steps"]:

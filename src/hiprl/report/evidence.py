@@ -109,8 +109,8 @@ class Told(NamedTuple):
 
     @property
     def best(self) -> int:
-        """Number of the trajectory that r̂ ranks best."""
-        return int(np.argmax(np.asarray(self.reward.returns(self.T))))
+        """Number of the executed trajectory that r̂ ranks best."""
+        return int(np.argmax(np.where(self.T.real, self.reward.returns(self.T), -np.inf)))
 
 
 def shares(reward: AdditiveReward, shapes: Shape, names: Sequence[str]) -> dict[str, float]:

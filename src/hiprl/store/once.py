@@ -85,8 +85,8 @@ def _check_clips(connection: sa.Connection, run_id: str, clips: Sequence[ClipRow
     for clip in clips:
         if clip.of not in lengths:
             raise InputError(
-                f"got a clip of trajectory {clip.of}, and run {run_id!r} has none of this number; only what was "
-                "executed can be asked about. Count from 0, and add the trajectory before the question."
+                f"got a clip of trajectory {clip.of}, and run {run_id!r} has none of this number; only what is "
+                "stored can be asked about. Count from 0, and add the trajectory before the question."
             )
         steps = lengths[clip.of]
         if not 0 <= clip.start < steps:

@@ -185,18 +185,16 @@ class Store:
             row = connection.execute(sa.select(*trajectory_columns).where(mine)).one_or_none()
         if row is None:
             raise InputError(
-                f"run {run_id!r} has no trajectory {number}; the number of one that was executed is needed. "
+                f"run {run_id!r} has no trajectory {number}; the number of one of its own is needed. "
                 "Count from 0, and check the run's id."
             )
         return TrajectoryRow.read(row)
 
     def trajectories(self, run_id: str) -> list[TrajectoryRow]:
-        """T, in the order of execution."""
+        """T, in its order."""
+        mine = sa.select(*trajectory_columns).where(trajectories.c.run_id == run_id)
         with self._database.reading() as connection:
-            query = (
-                sa.select(*trajectory_columns).where(trajectories.c.run_id == run_id).order_by(trajectories.c.number)
-            )
-            return [TrajectoryRow.read(row) for row in connection.execute(query)]
+            return [TrajectoryRow.read(row) for row in connection.execute(mine.order_by(trajectories.c.number))]
 
     def film(self, run_id: str, number: int) -> tuple[bytes | None, bool]:
         """What a person is shown of a trajectory, None if it was not filmed; and whether it was only imagined."""
@@ -205,12 +203,13 @@ class Store:
             row = connection.execute(sa.select(trajectories.c.film, trajectories.c.imagined).where(mine)).one_or_none()
             return (None, False) if row is None else (row.film, row.imagined)
 
-    def newest(self, run_id: str, kind: Kind) -> int | None:
-        """Number of the newest trajectory of this kind that was executed; None if there is none."""
-        executed = ~trajectories.c.imagined
-        mine = (trajectories.c.run_id == run_id) & (trajectories.c.kind == kind) & executed
+    def newest(self, run_id: str, kind: Kind) -> tuple[int, int] | None:
+        """Number of the newest executed trajectory of this kind, and how many were executed before. None: none."""
+        executed, number = (trajectories.c.run_id == run_id) & ~trajectories.c.imagined, trajectories.c.number
         with self._database.reading() as connection:
-            return connection.execute(sa.select(sa.func.max(trajectories.c.number)).where(mine)).scalar()
+            found = connection.scalar(sa.select(sa.func.max(number)).where(executed & (trajectories.c.kind == kind)))
+            before = connection.scalar(sa.select(sa.func.count()).where(executed & (number < (found or 0))))
+            return None if found is None else (found, before or 0)
 
     # What a person is told
 

@@ -64,9 +64,11 @@ class Shown:
 
     def now(self, run_id: str) -> Plain:
         """The newest thing that its policy did."""
-        number = self.store.newest(run_id, "policy")
-        clip = None if number is None else self.clip(run_id, ClipRow(number, 0, NOW))
-        return {"clip": clip, "episode": number}
+        newest = self.store.newest(run_id, "policy")
+        if newest is None:
+            return {"clip": None, "episode": None}
+        number, episode = newest
+        return {"clip": self.clip(run_id, ClipRow(number, 0, NOW)), "episode": episode}
 
     def progress(self, run_id: str) -> Plain:
         """How far a run is."""

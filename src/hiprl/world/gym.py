@@ -96,7 +96,7 @@ class GymWorld(World):
 
     def start_filming(self, *, drawn: bool = False) -> dict[str, Any] | None:
         """Films from now on. A registered environment that draws itself if asked when made is made again for that."""
-        self._camera = camera_of(self.env, drawn=drawn)
+        self._camera, self._reads = camera_of(self.env, drawn=drawn), False
         if self._camera is None and (env := self._that_draws()) is not None:
             self.env.close()
             self.env, self._camera = env, camera_of(env, drawn=drawn)

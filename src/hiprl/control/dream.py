@@ -17,7 +17,7 @@ from hiprl.types import Action, Key, Policy, State, stacked_size
 
 
 @jax.jit
-def imagine(f_tilde: Hallucinated, policy: Policy, ends: Ends | None, T: Trajectories, *, key: Key) -> Trajectory:
+def dream(f_tilde: Hallucinated, policy: Policy, ends: Ends | None, T: Trajectories, *, key: Key) -> Trajectory:
     """An episode of a policy, without exploration, in one member of the belief, drawn by chance. It earns NaN.
 
     Args:
