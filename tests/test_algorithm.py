@@ -14,6 +14,7 @@ from hiprl.algorithm import (
     hallucinated,
     learn,
     number_of,
+    practised,
     propose,
     restart,
     scored,
@@ -332,7 +333,7 @@ def test_practice_adds_trajectories_that_nobody_is_asked_about(runs, world):
     run = begin(world, config, key=jr.key(5))
     for k in range(1, config.comparisons + 1):
         done = episode(run, world, config, ask, key=jr.key(5))
-        run = done.run
+        run = practised(done.run, world, config, key=jr.key(5))
         assert int(run.T.count) == config.number_after(k) == k + 1 + 2 * max(0, k - config.warm_up + 1)
         assert int(done.question.clips.of[0]) == config.number_after(k - 1)  # it is about its own episode
     assert int(run.P.count) == config.comparisons and int(run.T.count) == run.T.capacity

@@ -69,7 +69,7 @@ def test_each_episode_is_told_of_in_plain_numbers(finished):
     for facts in watched:
         assert facts["searched"] == (facts["k"] >= TINY.warm_up)
         assert facts["env_steps"] == 31 * (facts["k"] + 1) and facts["length"] == 31
-        assert set(facts["seconds"]) == {"propose", "judge", "learn"}
+        assert set(facts["seconds"]) == {"propose", "judge", "learn", "practise"}
     last = watched[-1]
     assert 0 <= last["coverage"] <= 1 and last["beta"] > 0 and last["deviation"] > 0
     assert last["rollout_errors"]["50"] is None  # episodes have 31 steps

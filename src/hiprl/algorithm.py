@@ -211,13 +211,18 @@ def practise(run: Run, world: World, config: Config, *, key: Key) -> Run:
 
 def episode(run: Run, world: World, config: Config, ask: Ask, *, key: Key) -> Episode:
     """Episode k. `key` is the run's own: a stopped run goes on with the same draws."""
-    propose_key, ask_key, learn_key, practice_key = jr.split(jr.fold_in(key, run.k), 4)
+    propose_key, ask_key, learn_key, _ = jr.split(jr.fold_in(key, run.k), 4)
     question = propose(run, world, config, key=propose_key)
     answer = ask(question, run, key=ask_key)
-    after = learn(run, question, answer, world, config, key=learn_key)
-    for again_key in jr.split(practice_key, config.practice_after(int(run.k) + 1)):
-        after = practise(after, world, config, key=again_key)
-    return Episode(question, answer, after)
+    return Episode(question, answer, learn(run, question, answer, world, config, key=learn_key))
+
+
+def practised(run: Run, world: World, config: Config, *, key: Key) -> Run:
+    """The run after the practice that belongs to its newest answer. `key` is the run's own."""
+    *_, practice_key = jr.split(jr.fold_in(key, run.k - 1), 4)
+    for again_key in jr.split(practice_key, config.practice_after(int(run.k))):
+        run = practise(run, world, config, key=again_key)
+    return run
 
 
 def lived(run: Run, new: Attempt, calibration: Calibration, world: World, config: Config, *, key: Key) -> Run:

@@ -29,6 +29,7 @@ from hiprl.algorithm import (
     no_trajectories,
     nothing_known,
     number_of,
+    practised,
     scored,
 )
 from hiprl.config import CUSTOM, PEOPLE, Config
@@ -212,8 +213,10 @@ def one_episode(
     question, answer, after = episode(run, world, config, ask, key=key)
     jax.block_until_ready(after)
     times.append(time.perf_counter())
+    after = jax.block_until_ready(practised(after, world, config, key=key))
+    times.append(time.perf_counter())
     facts = facts_of(run, question, answer, after, config)
-    facts["seconds"] = dict(zip(("propose", "judge", "learn"), np.diff(times).tolist(), strict=True))
+    facts["seconds"] = dict(zip(("propose", "judge", "learn", "practise"), np.diff(times).tolist(), strict=True))
     for number in range(int(question.attempt.added(run.T).count), int(after.T.count)):
         store.add_trajectory(run_id, number, after.T.get(number), "policy")
     store.finish_episode(run_id, k, facts, pack(after))

@@ -35,7 +35,7 @@ def test_the_numbers_of_a_finished_run(store: Store) -> None:
     assert (facts["comparisons"], facts["planned_comparisons"], facts["finished"]) == (12, 12, True)
     assert (facts["return_mean"], facts["return_std"]) == (3030.0, 7.0)
     assert facts["best_executed_return"] == run.best[-1]
-    assert facts["seconds"] == {"propose": 36.0, "judge": 6.0, "learn": 18.0}
+    assert facts["seconds"] == {"propose": 36.0, "judge": 6.0, "learn": 18.0, "practise": 0.0}
     assert facts["wall_seconds"] == 60.0
     assert [*facts["rollout_errors"]] == ["1", "5", "20", "50"]
     assert facts["coverage"] == pytest.approx(np.median(run.series("coverage")[4:]))

@@ -173,8 +173,8 @@ def table_of_numbers(run: Record, facts: Facts) -> Table:
         "β, times σ of a state": known(facts["beta"]),
         "imagined and executed, by r̂": f"{known(facts['imagined'])} and {known(facts['executed'])}",
         "promises far off": f"{facts['overpromised']}",
-        "time": f"{duration(facts['wall_seconds'])}: propose {duration(seconds['propose'])}, "
-        f"judge {duration(seconds['judge'])}, learn {duration(seconds['learn'])}",
+        "time": f"{duration(facts['wall_seconds'])}: "
+        + ", ".join(f"{x} {duration(s)}" for x, s in seconds.items() if s),
     }.items():
         table.add_row(name, words)
     return table

@@ -7,6 +7,7 @@ import numpy as np
 from hiprl.report.record import Facts, Record
 
 RECENT = 10  # episodes behind a median
+PARTS = ("propose", "judge", "learn", "practise")
 
 
 def summary(record: Record) -> Facts:
@@ -16,7 +17,7 @@ def summary(record: Record) -> Facts:
     """
     final, row = record.final or {}, record.row
     last = record.episodes[-1] if record.episodes else {}
-    seconds = {part: float(np.nansum(record.series(part, within="seconds"))) for part in ("propose", "judge", "learn")}
+    seconds = {part: float(np.nansum(record.series(part, within="seconds"))) for part in PARTS}
     return {
         "run": record.id,
         "env": row.env,
