@@ -166,9 +166,14 @@ def test_imagined_trajectories_are_stored_as_such_and_asked_about(store):
 
 def test_an_environment_cannot_price_what_was_only_imagined(store):
     world = Blind(world_from("linear"))
-    with pytest.raises(InputError, match=r"got the judge exact for imagined clips in linear.*from Python, or by"):
+    refused = pytest.raises(InputError, match=r"reward for imagined clips in linear.*from Python, or by `hiprl teach`")
+    with refused:
         start(store, world, RunSpec(seed=3, config=DREAMING, judge="exact"))
     assert not store.runs()
+    run_id = start(store, world, RunSpec(seed=3, config=DREAMING, judge=CUSTOM))
+    with refused:  # resumed with another judge
+        carry_on(store, run_id, world, exact)
+    assert not store.trajectories(run_id)
 
 
 def test_a_world_that_breaks_loses_nothing_that_was_learned(store):

@@ -102,12 +102,8 @@ def start(store: Store, world: World, spec: RunSpec) -> str:
         InputError: the reward cannot learn from what the judge is to be asked, or the judge cannot tell.
     """
     asked = spec.config.question
-    if asked.imagined and spec.judge not in (PEOPLE, CUSTOM) and not world.prices:
-        raise InputError(
-            f"got the judge {spec.judge} for imagined clips in {world.name}, which pays only for what is executed; a "
-            "judge by the environment's reward has none to go by there. Leave imagined clips out, or judge them "
-            "yourself: with a function of yours from Python, or by `hiprl teach`."
-        )
+    if spec.judge not in (PEOPLE, CUSTOM):
+        refuse_unpriced(world, spec)
     if isinstance(spec.config.reward, NetworkConfig) and (asked.clip or asked.levels or asked.items != 2):
         raise InputError(
             f"got the judge {spec.judge} for the paper's reward network, which learns from numbers about whole "
@@ -129,6 +125,16 @@ def start(store: Store, world: World, spec: RunSpec) -> str:
     )
 
 
+def refuse_unpriced(world: World, spec: RunSpec) -> None:
+    """Raises InputError if a judge by the environment's reward is to judge what the environment cannot pay for."""
+    if spec.config.question.imagined and not world.prices:
+        raise InputError(
+            f"got a judge by the environment's reward for imagined clips in {world.name}; there is none to go by, as "
+            "it pays only for what is executed. Leave imagined clips out, or judge them yourself: with a function of "
+            "yours from Python, or by `hiprl teach`."
+        )
+
+
 def spec_of(store: Store, run_id: str) -> RunSpec:
     """What a run in the store was to be."""
     row = store.run(run_id)
@@ -145,13 +151,15 @@ def carry_on(store: Store, run_id: str, world: World, judging: Judging, *, watch
     """Does the episodes that a run still lacks, evaluates it, and gives its summary.
 
     Raises:
-        InputError: the run is finished, or another trainer is at it.
+        InputError: the run is finished, another trainer is at it, or the judge cannot tell what it is asked.
         JudgeError: the judge gave no answer; the question stays open.
         WorldError: the environment broke.
         FitDiverged: a model's loss is not finite.
     """
     refuse_finished(store, run_id)
     spec = spec_of(store, run_id)
+    if judging.form is not None:
+        refuse_unpriced(world, spec)
     with store.lease(run_id) as lease:
         key = jr.key(spec.seed)
         run = latest(store, run_id, world, spec)
