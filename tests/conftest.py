@@ -10,8 +10,10 @@ import tempfile
 from collections import Counter
 from collections.abc import Generator, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from xdist.scheduler import LoadFileScheduling
 
 ROOT = Path(__file__).resolve().parents[1]
 CACHE = ROOT / ".cache"
@@ -57,6 +59,22 @@ hypothesis.settings.register_profile(
     suppress_health_check=[hypothesis.HealthCheck.too_slow],
 )
 hypothesis.settings.load_profile("tests")
+
+
+class Together(LoadFileScheduling):
+    """The tests of a file share a process, and so do those of files with the same tiny runs: these compile once."""
+
+    RUNS = ("test_algorithm.py", "test_session.py", "test_api.py", "test_resume.py", "test_blind.py")
+
+    def _split_scope(self, nodeid: str) -> str:
+        path = super()._split_scope(nodeid)
+        return "runs" if path.endswith(self.RUNS) else path
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Together:
+    """How tests are spread over processes, where there are several."""
+    return Together(config, log)
 
 
 def pytest_unconfigure() -> None:

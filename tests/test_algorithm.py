@@ -26,11 +26,10 @@ from hiprl.models.dynamics import estimate_dynamics
 from hiprl.reported import best_actor, confirmed
 from hiprl.world.build import world_from
 from hiprl.world.task import World
-from tests.whole.tasks import TINY, exactly
+from tests.whole.tasks import DREAMING, TINY, exactly
 
-DREAMING = replace(TINY, question=replace(TINY.question, imagined=True))
-PRACTISING = replace(TINY, warm_up=5, practice=2)
-assert DREAMING.trajectories == PRACTISING.trajectories  # the same shapes: half as much to compile
+PRACTISING = [replace(TINY, comparisons=4, practice=1), replace(TINY, comparisons=4, warm_up=4, practice=2)]
+assert {config.trajectories for config in (TINY, DREAMING, *PRACTISING)} == {7}  # the same shapes: little to compile
 
 
 class Spy(World):
@@ -328,13 +327,13 @@ def test_the_executed_return_is_over_as_many_steps_as_the_trial(runs):
     assert float(scored(known[4], new, TINY).executed) == pytest.approx(float(np.sum(r)), rel=1e-3)
 
 
-def test_practice_adds_trajectories_that_nobody_is_asked_about(runs, world):
-    config = PRACTISING
+@pytest.mark.parametrize("config", PRACTISING)
+def test_practice_adds_trajectories_that_nobody_is_asked_about(runs, world, config):
     run = begin(world, config, key=jr.key(5))
     for k in range(1, config.comparisons + 1):
         done = episode(run, world, config, ask, key=jr.key(5))
         run = practised(done.run, world, config, key=jr.key(5))
-        assert int(run.T.count) == config.number_after(k) == k + 1 + 2 * max(0, k - config.warm_up + 1)
+        assert int(run.T.count) == config.number_after(k) == k + 1 + config.practice * max(0, k - config.warm_up + 1)
         assert int(done.question.clips.of[0]) == config.number_after(k - 1)  # it is about its own episode
     assert int(run.P.count) == config.comparisons and int(run.T.count) == run.T.capacity
     np.testing.assert_array_equal(run.archive.filled, np.arange(run.T.capacity) >= config.warm_up)

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import pytest
 
 from hiprl.config import PRESETS, Config, asking, paper, preset
@@ -65,8 +63,8 @@ def test_searches_and_trajectories_are_counted():
     assert [config.searches_after(k) for k in range(6)] == [0, 0, 0, 2, 4, 6]
     assert [config.executed_after(k) for k in range(6)] == [1, 2, 3, 5, 7, 9]
     assert config.trajectories == config.executed_after(7) == 13
-    imagining = replace(config, question=replace(config.question, imagined=True))
-    assert imagining.trajectories == 13 + 10
+    imagining = asking(config, judge_from("exact"), imagined=True)
+    assert imagining.question.imagined and imagining.trajectories == 13 + 10
 
 
 def test_only_the_policy_that_chooses_eta_has_outputs_for_it():

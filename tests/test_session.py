@@ -1,6 +1,5 @@
 import json
 import math
-from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +14,7 @@ from hiprl.report.evidence import evidence_of
 from hiprl.session import RunSpec, carry_on, finite_or_none, learned_actor, spec_of, start
 from hiprl.store.store import open_store
 from hiprl.world.build import world_from
-from tests.whole.tasks import TINY, Blind
+from tests.whole.tasks import DREAMING, TINY, Blind
 
 SPEC = RunSpec(seed=21, config=TINY, judge="exact", eval_episodes=3)
 
@@ -135,10 +134,6 @@ def test_where_nothing_is_paid_the_exact_judge_leaves_the_question_open(store):
     with pytest.raises(JudgeError, match="judge of your own"):
         carry_on(store, run_id, world, exact)
     assert len(store.questions(run_id, unanswered=True)) == 1
-
-
-DREAMING = asking(replace(TINY, comparisons=4), judge_from("exact"), imagined=True)
-assert DREAMING.trajectories == TINY.trajectories  # the same shapes: little to compile
 
 
 def test_imagined_trajectories_are_stored_as_such_and_asked_about(store):

@@ -1,5 +1,7 @@
 """Small worlds and settings for tests of whole runs: everything compiles once and runs in seconds."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +18,8 @@ DYNAMICS = DynamicsConfig(M=3, hidden=(16,), cold_steps=100, warm_steps=50, chun
 SEARCH = GradientConfig(chunks=2, updates=20, rollouts=4, steps=5, trial_steps=10, trial_starts=2, hidden=(16,))
 TINY = Config(comparisons=6, warm_up=3, dynamics=DYNAMICS, search=SEARCH)
 """Learns next to nothing, quickly."""
+DREAMING = replace(TINY, comparisons=4, question=replace(TINY.question, imagined=True))
+"""The same with questions about what was imagined; its trajectories are as many, so that little compiles anew."""
 
 
 def exactly(question, run, *, key):
