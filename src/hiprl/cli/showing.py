@@ -174,7 +174,7 @@ def table_of_numbers(run: Record, facts: Facts) -> Table:
         "imagined and executed, by r̂": f"{known(facts['imagined'])} and {known(facts['executed'])}",
         "promises far off": f"{facts['overpromised']}",
         "time": f"{duration(facts['wall_seconds'])}: "
-        + ", ".join(f"{x} {duration(s)}" for x, s in seconds.items() if s),
+        + ", ".join(f"{x} {duration(s)}" for x, s in seconds.items() if round(s)),
     }.items():
         table.add_row(name, words)
     return table
