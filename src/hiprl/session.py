@@ -34,6 +34,7 @@ from hiprl.algorithm import (
 )
 from hiprl.config import CUSTOM, PEOPLE, Config
 from hiprl.data.answer import Answer
+from hiprl.data.film import Film
 from hiprl.data.preference import WHOLE, Clip
 from hiprl.errors import InputError, JudgeError
 from hiprl.evaluate import episodes, true_returns
@@ -184,18 +185,12 @@ def latest(store: Store, run_id: str, world: World, spec: RunSpec) -> Run:
     if saved is not None:
         return unpack(saved[1], shape_of_run(world, spec.config))
     run = begin(world, spec.config, key=jr.key(spec.seed))
-    store.add_trajectory(run_id, 0, run.T.get(0), "random", film=film_of(world))
+    store.add_trajectory(run_id, 0, run.T.get(0), "random", film=in_bytes(world.film))
     return run
 
 
-def film_of(world: World) -> bytes | None:
-    """What there is to be seen of the newest episode; None where nobody films."""
-    return None if world.film is None else world.film.to_bytes()
-
-
-def imagined_film(world: World, states: np.ndarray) -> bytes | None:
-    """What there would be to be seen in these states; None where nobody films, or only what happens."""
-    film = world.film_of(states)
+def in_bytes(film: Film | None) -> bytes | None:
+    """A film as the store keeps it; None where there is none."""
     return None if film is None else film.to_bytes()
 
 

@@ -36,10 +36,9 @@ from hiprl.session import (
     clip_row,
     conclude,
     facts_of_attempt,
-    film_of,
     finite_or_none,
     foreseen,
-    imagined_film,
+    in_bytes,
     latest,
     refuse_finished,
     rows_of,
@@ -321,7 +320,7 @@ def practised(
         facts |= {"weights": asking.weights, "agrees": asking.agrees, "disagrees": asking.disagrees, **asking.opinions}
     facts = finite_or_none(facts)
     taus = [
-        (row, imagined_film(world, row.states) if row.imagined else film_of(world))
+        (row, in_bytes(world.film_of(row.states) if row.imagined else world.film))
         for row in rows_of(new, int(run.T.count))
     ]
     store.finish_episode(run_id, facts["k"], facts, pack(after), taus=taus)
