@@ -43,9 +43,13 @@ class Known(EstimatedReward):
 
 @jax.jit
 def known(task: Task, T: Trajectories) -> Known:
-    """The reward of a task in the unit of what was seen of it."""
-    rows = T.transitions()
-    return Known(typical_size(jax.vmap(task.r)(rows.s, rows.a), T), task)
+    """The reward of a task, in the unit of what was seen of it or, where more is known, of what can be."""
+    rows, states = T.transitions(), task.anywhere()
+    seen = typical_size(jax.vmap(task.r)(rows.s, rows.a), T)
+    if states is None:
+        return Known(seen, task)
+    r = jax.vmap(task.r)(states, jnp.zeros((len(states), task.q)))
+    return Known(jnp.maximum(seen, jnp.sqrt(jnp.mean(r**2))), task)
 
 
 def next_episode(run: Run, world: JaxWorld, config: Config, *, key: Key) -> Run:

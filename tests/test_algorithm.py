@@ -382,7 +382,7 @@ def test_the_world_is_learned_from_what_was_executed_alone(dreamt):
     wild = jnp.where(dreamt, 1e3, run.T.rows.states)
     changed = eqx.tree_at(lambda run: run.T.rows.states, run, wild)
     assert not same(changed.T, run.T)
-    found = hallucinated(run, config), hallucinated(changed, config)
+    found = hallucinated(run, world, config), hallucinated(changed, world, config)
     assert same(*found)  # the box, too
     fitted = [
         estimate_dynamics(x.T.executed(), x.dynamics, config.dynamics, steps=50, key=jr.key(1)) for x in (run, changed)

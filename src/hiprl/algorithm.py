@@ -163,9 +163,9 @@ def attempt(run: Run, world: World, config: Config, *, key: Key) -> Attempt:
     if int(run.k) + 1 < config.warm_up:
         random = Uniform.draw(world.q, key=search_key) if config.babble == "varied" else Uniform(jnp.ones(()), world.q)
         return Attempt(world.roll_out(random, key=world_key), state, SearchReport.nothing(), searched=False)
-    f_tilde = hallucinated(run, config)  # μ + βση, eq. (5)
+    f_tilde = hallucinated(run, world, config)  # μ + βση, eq. (5)
     ends = ends_of(run, world)
-    more = {"setbacks": setbacks, "key": search_key}
+    more = {"setbacks": setbacks, "anywhere": world.anywhere, "key": search_key}
     state, report = search(f_tilde, run.reward, ends, run.T.executed(), state, config.search, **more)  # eq. (6)
     if not report.finite:
         raise FitDiverged(
@@ -269,9 +269,9 @@ def restart(run: Run, config: Config) -> tuple[SearchState, Count]:
     return run.archive.get(start), jnp.where(lost, 0, setbacks)
 
 
-def hallucinated(run: Run, config: Config) -> Hallucinated:
-    """f̃ with the calibrated β, kept in the box of what was seen."""
-    low, high = run.T.executed().box(margin=BOX_MARGIN)
+def hallucinated(run: Run, world: World, config: Config) -> Hallucinated:
+    """f̃ with the calibrated β, kept in the box of what was seen, and of what the world says can be."""
+    low, high = run.T.executed().box(margin=BOX_MARGIN, also=world.anywhere)
     ensemble = run.dynamics.ensemble
     return Hallucinated(
         dynamics=ensemble,

@@ -58,6 +58,11 @@ class Hallucinated(eqx.Module):
         """How many entries of a policy's output are η and not action."""
         return self.beta.shape[0] if self.mode == "eta_policy" else 0
 
+    @property
+    def hopes(self) -> bool:
+        """Whether the mode is paid for, or moved by, what the model does not know."""
+        return self.mode in ("eta_policy", "eta_sign", "bonus")
+
     def worlds(self) -> tuple[Hallucinated, int | None]:
         """The models to spread imagined rollouts over, and the axis along which to map them.
 

@@ -49,6 +49,6 @@ def actor_of(run: Run, i: Count | int, world: World, config: Config) -> Actor:
     """The policy behind trajectory `i`, executed without exploration, and with planning only if the run planned."""
     state = run.archive.get(i)
     if config.plan.kind == "mpc":
-        f_tilde, ends = hallucinated(run, config), ends_of(run, world)
+        f_tilde, ends = hallucinated(run, world, config), ends_of(run, world)
         return planned(state, f_tilde, run.reward, ends, config.plan, q=world.q, gamma=config.search.discount(world.H))
     return Follow(state.policy, world.q, explore=False)

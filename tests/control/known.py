@@ -21,13 +21,15 @@ class Known(Dynamics):
     B: Float[Array, "p q"]
     noise: Float[Array, " p"]
     sigma: Float[Array, " p"]
+    doubt: Float[Array, ""]
+    """What σ grows by for an action of size 1."""
 
     def predict(self, s, a):
-        return Prediction(self.A @ s + self.B @ a, self.sigma, self.noise)
+        return Prediction(self.A @ s + self.B @ a, self.sigma + self.doubt * jnp.sum(a**2), self.noise)
 
     def members(self):
         """M times the mean."""
-        sure = Known(self.A, self.B, self.noise, jnp.zeros_like(self.sigma))
+        sure = Known(self.A, self.B, self.noise, jnp.zeros_like(self.sigma), jnp.zeros_like(self.doubt))
         return jax.tree.map(lambda x: jnp.broadcast_to(x, (M, *x.shape)), sure)
 
 
@@ -45,12 +47,12 @@ class Quadratic(Reward):
         return -(off @ self.Q @ off) - miss @ self.R @ miss
 
 
-def known(*, A=None, B=None, noise=0.0, sigma=0.0, mode="greedy", beta=1.0, reach=9.0):
+def known(*, A=None, B=None, noise=0.0, sigma=0.0, doubt=0.0, mode="greedy", beta=1.0, reach=9.0):
     """The hallucinated model around such a dynamics."""
     A, B = np.zeros((p, p)) if A is None else A, np.zeros((p, q)) if B is None else B
     full = lambda x: jnp.full(p, x, jnp.float32)
     return Hallucinated(
-        dynamics=Known(jnp.asarray(A, jnp.float32), jnp.asarray(B, jnp.float32), full(noise), full(sigma)),
+        dynamics=Known(*(jnp.asarray(x, jnp.float32) for x in (A, B)), full(noise), full(sigma), jnp.float32(doubt)),
         beta=full(beta),
         bonus=jnp.ones(()),
         step_scale=full(1.0),

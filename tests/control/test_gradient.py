@@ -16,7 +16,7 @@ from hiprl.control.plan import Follow
 from hiprl.rollout import roll_out
 from hiprl.types import Reward, stacked_size
 from hiprl.world.linear import default_linear
-from tests.control.known import known, quadratic, starts
+from tests.control.known import M, known, quadratic, starts
 from tests.data.samples import p, q
 
 CONFIG = GradientConfig(
@@ -302,6 +302,43 @@ def test_hope_makes_a_reward_out_of_reach_look_near(mode):
         if name == "eta_policy":
             assert modes(state, starts().seen)[:, q:].mean() > 0.5  # η pulls the state up, to the reward
     assert values[mode] > values["greedy"] + 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["eta_policy", "eta_sign", "bonus", "greedy"])
+def test_an_optimist_keeps_what_it_hopes_most_of(mode):
+    # to act costs, and leads to the reward only if the model errs: in every member the first iterate is best
+    f_tilde = known(A=0.5 * np.eye(p), doubt=0.4, mode=mode)
+    reward = quadratic(Q=np.eye(p), R=0.05 * np.eye(q), d=[0.8, 0.8, 0.8])
+    config = replace(CONFIG, updates=40)  # too few to arrive
+    begun = new_gradient(starts().scaler, q + f_tilde.eta_size, config, key=jr.key(1))
+
+    @jax.jit
+    def search(setbacks):
+        more = {"H": 1000, "setbacks": setbacks, "key": jr.key(2)}
+        return gradient_search(f_tilde, reward, jnp.asarray(1.0), None, starts(), begun, config, **more)
+
+    (whole, report), (half, first) = search(jnp.asarray(0)), search(jnp.asarray(1))
+    size = lambda state: np.abs(modes(state, starts().seen)[:, :q]).mean()
+    if mode == "greedy":
+        assert size(whole) < 0.1
+    else:
+        assert size(whole) > size(half) > 0.1 and report.worst < first.worst
+
+
+def test_trials_in_the_model_itself_hope():
+    f_tilde = known(A=0.5 * np.eye(p), sigma=0.5, mode="eta_sign")
+    chance = Chance.draw(jnp.ones((1, p)), M=M, n=1, steps=3, key=jr.key(0))
+    more = {"axis": None, "value": jnp.sum}
+    returns = trials(f_tilde, blank().policy, quadratic(Q=np.eye(p)), None, chance, **more)
+    np.testing.assert_allclose(returns, -p * (1 + 1 + 1), rtol=1e-3)  # 1 becomes 0.5 + 0.5
+
+
+def test_trials_in_the_model_itself_earn_the_bonus():
+    f_tilde = known(sigma=0.5, mode="bonus")
+    chance = Chance.draw(jnp.ones((1, p)), M=M, n=1, steps=3, key=jr.key(0))
+    returns = trials(f_tilde, blank().policy, quadratic(), None, chance, axis=None)
+    np.testing.assert_allclose(returns, 3 * 0.5, rtol=1e-3)
 
 
 def test_trials_are_in_the_members_and_know_no_hope(search):

@@ -3,6 +3,7 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
+import pytest
 
 from hiprl.control.gradient import GradientConfig
 from hiprl.control.search import new_search, search
@@ -50,6 +51,23 @@ def test_no_padding_is_imagined_from():
     state, report = search(known(), ONE, None, T_of(3), state, CONFIG, key=jr.key(2))
     assert report.finite and all(np.isfinite(x).all() for x in (state.policy.inputs.mean, state.value.scale))
     assert T_of(3).capacity == N  # there is padding, and it is NaN
+
+
+class At(One):
+    """A reward of 1 a step, and one that spoils all numbers at a state that was never seen."""
+
+    def __call__(self, s, a):
+        return jnp.where(jnp.abs(s[0] - 40) < 1e-3, jnp.nan, 1.0)
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_it_is_imagined_from_anywhere_where_the_world_says_what_that_is(told):
+    places = jnp.full((5, T_of(2).rows.states.shape[-1]), 40.0) if told else None
+    state = new_search(T_of(2), q, CONFIG, key=jr.key(1))
+    stays = known(A=np.eye(len(places[0]))) if told else known()
+    after, _ = search(stays, At(jnp.ones(())), None, T_of(2), state, CONFIG, anywhere=places, key=jr.key(2))
+    numbers = jax.tree.leaves(eqx.filter(after, eqx.is_inexact_array))
+    assert told == any(np.isnan(x).any() for x in numbers)
 
 
 class Cliff(One):

@@ -69,6 +69,15 @@ def test_the_box_holds_all_states_seen_and_its_margin(seed, ns, margin):
     np.testing.assert_allclose(high, seen.max(0) + margin * width, atol=1e-5)
 
 
+def test_the_box_holds_what_else_it_is_told_of():
+    T = set_of(taus_of(3, [5, 2]))
+    low, high = (np.asarray(end) for end in T.box(margin=0.0))
+    also = jnp.stack([low - 3, (low + high) / 2])
+    np.testing.assert_array_equal(T.box(margin=0.0, also=also)[0], also[0])
+    np.testing.assert_array_equal(T.box(margin=0.0, also=also)[1], high)
+    np.testing.assert_allclose(T.box(margin=0.5, also=also)[1], high + 0.5 * (high - also[0]), rtol=1e-5)
+
+
 @settings(max_examples=10)
 @given(seeds, several)
 def test_first_states_are_where_episodes_began(seed, ns):

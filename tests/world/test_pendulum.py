@@ -83,6 +83,16 @@ def test_tolerance_is_one_inside_and_a_tenth_at_the_margin():
         assert tolerance(jnp.float32(x), low=-2.0, high=3.0, margin=0.7) == pytest.approx(0.1, rel=1e-4)
 
 
+def test_anywhere_is_all_round_and_as_fast_as_a_fall_from_the_top():
+    cos, sin, omega = np.asarray(SwingUp().anywhere(), float).T
+    np.testing.assert_allclose(cos**2 + sin**2, 1.0, atol=1e-5)
+    still, energy = omega == 0, INERTIA * omega**2 / 2 + WEIGHT * cos
+    assert still.mean() == pytest.approx(0.5, abs=0.01)
+    np.testing.assert_allclose(energy[~still], WEIGHT, rtol=1e-4)
+    for which in (still, omega > 0, omega < 0):
+        assert np.ptp(np.unwrap(np.sort(np.arctan2(sin[which], cos[which])))) > 6.1
+
+
 def test_it_starts_hanging_all_but_still():
     s = jax.vmap(SwingUp().s_0)(jr.split(jr.key(4), 500))
     assert s[:, 0].max() < -0.99

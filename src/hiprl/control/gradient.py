@@ -4,7 +4,8 @@ One update imagines a batch of rollouts of a few steps in the hallucinated model
 of its TD(λ) return; the value follows by regression to the returns of all steps. Rollouts begin at states that were
 seen, or go on where others ended: the value must hold where the policy goes, too, or the policy climbs its errors.
 Updates come in chunks. After each chunk the policy is tried for longer in every member of the belief, from where
-episodes begin, and the iterate whose worst member is best is the one that is kept.
+episodes begin, and the iterate whose worst member is best is the one that is kept. An optimist keeps the one that is
+best in the hallucinated model itself: most of what it hopes for is in no member, and would never be executed.
 Source: value gradients through a model (SVG, Heess et al. 2015; Dreamer, Hafner et al. 2020), eq. (6) of HIP-RL.
 """
 
@@ -238,14 +239,17 @@ def gradient_search(
     everywhere = f_tilde.in_each_member()
 
     def chunk(_, carry):
-        learner, best, best_report, key = carry
+        learner, best, best_report, best_score, key = carry
         key, update_key = jr.split(key)
         learner, _ = jax.lax.scan(partial(update, moving=True), learner, jr.split(update_key, config.updates))
         report = report_of(trials(everywhere, learner.policy, reward, ends, chance))
-        better = report.finite & ~(report.worst <= best_report.worst)
+        score = report.worst
+        if f_tilde.hopes:
+            score = jnp.mean(trials(f_tilde, learner.policy, reward, ends, chance, axis=None, value=learner.value))
+        better = report.finite & ~(score <= best_score)
         keep = lambda new, old: jnp.where(better, new, old)
         best = jax.tree.map(keep, SearchState(learner.policy, learner.value), best)
-        return learner, best, jax.tree.map(keep, report, best_report), key
+        return learner, best, jax.tree.map(keep, report, best_report), keep(score, best_score), key
 
     nowhere = jnp.zeros((*shape, starts.seen.shape[1])), jnp.zeros(shape)
     learner = Learner(policy, value, value, descent(policy_opt, policy), descent(value_opt, value), *nowhere)
@@ -253,10 +257,10 @@ def gradient_search(
     chance = Chance.draw(starts.first, M=M, n=config.trial_starts, steps=length, key=trial_key)
     learner, _ = jax.lax.scan(partial(update, moving=False), learner, jr.split(settle_key, config.settling))
     # Where the search begins is no candidate: it was executed, and to execute it again would teach nothing.
-    carry = (learner, state, SearchReport.nothing(), key)
+    carry = (learner, state, SearchReport.nothing(), jnp.asarray(-jnp.inf), key)
     # A policy near one that holds in the world is likelier to hold there: the model is at fault further away.
     chunks = jnp.maximum(config.chunks >> jnp.minimum(setbacks, 1), 1)
-    _, best, report, _ = jax.lax.fori_loop(0, chunks, chunk, carry)
+    _, best, report, *_ = jax.lax.fori_loop(0, chunks, chunk, carry)
     return best, report
 
 

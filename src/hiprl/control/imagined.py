@@ -66,11 +66,11 @@ class Starts(eqx.Module):
     """Where imagined rollouts may begin."""
 
     seen: Float[Array, "n p"]
-    """Seen states, drawn afresh for each search."""
+    """Seen states, drawn afresh for each search, and as many that the world says are anywhere."""
     first: Float[Array, "N p"]
     """States in which episodes began."""
     scaler: Scaler
-    """Mean and spread of all seen states."""
+    """Mean and spread of these states."""
 
 
 class Chance(NamedTuple):
@@ -88,18 +88,35 @@ class Chance(NamedTuple):
 
 
 def trials(
-    worlds: Hallucinated, policy: Policy, reward: Reward, ends: Ends | None, chance: Chance
+    worlds: Hallucinated,
+    policy: Policy,
+    reward: Reward,
+    ends: Ends | None,
+    chance: Chance,
+    *,
+    axis: int | None = 0,
+    value: Callable[[State], Scalar] | None = None,
 ) -> Float[Array, "M n"]:
-    """Return by r̂ of as many steps as chance has, without exploration: some times in each world."""
+    """Return by r̂, with the bonus if any, of as many steps as chance has, without exploration.
+
+    Args:
+        worlds: a stack of M, with some trials in each; with `axis` None one world, for all of them.
+        policy: what acts.
+        reward: r̂.
+        ends: when an imagined episode terminates; None for never.
+        chance: where the trials begin, and the noise on their way.
+        axis: along which `worlds` are stacked.
+        value: V, without which the mode `eta_sign` is greedy.
+    """
 
     def one(world: Hallucinated, s_0: State, draws: Float[Array, "steps p"]) -> Scalar:
         def step(s: State, draw: State):
             u = policy.mode(s)
-            s_next, _ = world.step(s, u, draw=draw)
-            return s_next, (s, world.split(u)[0], s_next)
+            s_next, bonus = world.step(s, u, draw=draw, value=value)
+            return s_next, (s, world.split(u)[0], s_next, bonus)
 
-        _, (s, a, s_next) = jax.lax.scan(step, s_0, draws)
+        _, (s, a, s_next, bonus) = jax.lax.scan(step, s_0, draws)
         _, alive = along(ends, s, a, s_next)
-        return jnp.sum(alive * jax.vmap(reward)(s, a))
+        return jnp.sum(alive * (jax.vmap(reward)(s, a) + bonus))
 
-    return jax.vmap(jax.vmap(one, in_axes=(None, 0, 0)))(worlds, *chance)
+    return jax.vmap(jax.vmap(one, in_axes=(None, 0, 0)), in_axes=(axis, 0, 0))(worlds, *chance)

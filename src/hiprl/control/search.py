@@ -8,13 +8,14 @@ from typing import TypeAlias
 import jax
 import jax.numpy as jnp
 import jax.random as jr
+from jaxtyping import Array, Float
 
 from hiprl.control.gradient import GradientConfig, gradient_search, new_gradient
 from hiprl.control.imagined import Ends, SearchReport, SearchState, Starts
 from hiprl.control.ppo import PPOConfig, new_ppo, ppo_search
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.hallucinated import Hallucinated
-from hiprl.models.network import state_scaler
+from hiprl.models.network import Scaler, state_scaler
 from hiprl.models.reward import EstimatedReward
 from hiprl.models.usual import counts
 from hiprl.types import Count, Key
@@ -39,6 +40,7 @@ def search(
     config: SearchConfig,
     *,
     setbacks: Count | int = 0,
+    anywhere: Float[Array, "n p"] | None = None,
     key: Key,
 ) -> tuple[SearchState, SearchReport]:
     """The policy, and its η, that is best in the hallucinated model: one compiled program.
@@ -51,12 +53,17 @@ def search(
         state: where to start: the policy and value of an earlier search.
         config: the method and its settings.
         setbacks: earlier searches from `state` whose policy did worse in the world than that of `state`.
+        anywhere: states that imagined rollouts start from as often, whether they were seen or not.
     """
     start_key, search_key = jr.split(key)
     rows = T.transitions()
     usual = counts(jax.vmap(reward)(rows.s, rows.a), T)
     seen = jr.choice(start_key, rows.s, (SEEN_STATES,), p=usual)
-    starts = Starts(seen, T.first_states(), state_scaler(T))
+    scaler = state_scaler(T)
+    if anywhere is not None:
+        seen = jnp.concatenate([seen, jnp.resize(anywhere, seen.shape)])
+        scaler = Scaler.of(seen, jnp.ones(len(seen), bool))
+    starts = Starts(seen, T.first_states(), scaler)
     H = T.rows.actions.shape[1]
     if isinstance(config, GradientConfig):
         more = {"H": H, "setbacks": jnp.asarray(setbacks), "key": search_key}

@@ -86,9 +86,13 @@ class Trajectories(eqx.Module):
         """s_0 of each executed trajectory; all other rows repeat the first one."""
         return jnp.where(self.real[:, None], self.rows.states[:, 0], self.rows.states[0, 0])
 
-    def box(self, *, margin: float) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
-        """Least and greatest of each entry of the states seen, widened by this share of their distance."""
+    def box(
+        self, *, margin: float, also: Float[Array, "n p"] | None = None
+    ) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
+        """Least and greatest of each entry of the states seen and of `also`, widened by a share of their distance."""
         seen, states = self.seen()[..., None], self.rows.states
         low = jnp.min(jnp.where(seen, states, jnp.inf), axis=(0, 1))
         high = jnp.max(jnp.where(seen, states, -jnp.inf), axis=(0, 1))
+        if also is not None:
+            low, high = jnp.minimum(low, also.min(axis=0)), jnp.maximum(high, also.max(axis=0))
         return low - margin * (high - low), high + margin * (high - low)

@@ -25,6 +25,7 @@ class JaxWorld(World):
         self.name, self.p, self.q = task.name, task.p, task.q
         self.H = task.H if horizon is None else horizon
         self.ends = task.ends
+        self.anywhere = task.anywhere()
         # A bound method of a module with arrays has no hash; this function has one and can be a static
         # argument.
         self.terminates = (lambda s, a, s_next: task.terminates(s, a, s_next)) if task.ends else never

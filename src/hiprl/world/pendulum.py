@@ -8,6 +8,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 import jax.random as jr
+from jaxtyping import Array, Float
 
 from hiprl.types import Action, Flag, Key, Scalar, State
 from hiprl.world.task import Task
@@ -66,6 +67,14 @@ class SwingUp(Task):
         """Hanging down, all but still: standard deviations of 0.01 rad and 0.01 rad/s."""
         off, omega = 0.01 * jr.normal(key, (2,))
         return jnp.stack([-jnp.cos(off), -jnp.sin(off), omega])
+
+    def anywhere(self) -> Float[Array, "n p"]:
+        """All round, at rest, and as fast either way as a fall from the top makes it."""
+        theta = jnp.linspace(0.0, 2 * math.pi, 128, endpoint=False)
+        fall = jnp.sqrt(2 * _GRAVITY / _LENGTH * (1 - jnp.cos(theta)))
+        around = lambda omega: jnp.stack([jnp.cos(theta), jnp.sin(theta), omega], axis=1)
+        still = around(jnp.zeros_like(theta))
+        return jnp.concatenate([still, around(fall), still, around(-fall)])
 
     def terminates(self, s: State, a: Action, s_next: State) -> Flag:
         return jnp.asarray(False)

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Array, Float
 
 from hiprl.data.film import Film
 from hiprl.data.trajectory import Trajectory
@@ -32,6 +33,9 @@ class World(ABC):
     """The known rule of termination; None where it is not known and has to be learned."""
     ends: bool
     """Whether an episode can terminate at all. False: the rule is "never" and nothing is learned about it."""
+
+    anywhere: Float[Array, "n p"] | None = None
+    """States that imagined rollouts may begin in, seen or not; None where only seen ones will do."""
 
     @abstractmethod
     def roll_out(self, actor: Actor, *, key: Key) -> Trajectory:
@@ -124,6 +128,13 @@ class Task(eqx.Module):
     @abstractmethod
     def s_0(self, key: Key) -> State:
         """A draw of the first state."""
+
+    def anywhere(self) -> Float[Array, "n p"] | None:
+        """States all over the world, for imagined rollouts to begin in; None for those that were seen.
+
+        From states near the first alone a search does not meet a reward that is far from all of them.
+        """
+        return None
 
     @abstractmethod
     def terminates(self, s: State, a: Action, s_next: State) -> Flag:
