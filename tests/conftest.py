@@ -62,13 +62,16 @@ hypothesis.settings.load_profile("tests")
 
 
 class Together(LoadFileScheduling):
-    """The tests of a file share a process, and so do those of files with the same tiny runs: these compile once."""
+    """The tests of a file share a process, and so do those of files with the same programs: these compile once."""
 
-    RUNS = ("test_algorithm.py", "test_session.py", "test_api.py", "test_resume.py", "test_blind.py")
+    ALIKE = (
+        ("test_algorithm.py", "test_session.py", "test_api.py", "test_resume.py", "test_blind.py"),
+        ("test_questions.py", "test_worth.py"),
+    )
 
     def _split_scope(self, nodeid: str) -> str:
         path = super()._split_scope(nodeid)
-        return "runs" if path.endswith(self.RUNS) else path
+        return next((names[0] for names in self.ALIKE if path.endswith(names)), path)
 
 
 @pytest.hookimpl(optionalhook=True)

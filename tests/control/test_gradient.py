@@ -223,8 +223,10 @@ def value_after(
 @pytest.mark.parametrize("ends", [None, Partial(lambda s, a, s_next: s[0] > 0)])
 def test_a_value_that_is_off_everywhere_is_mended_before_the_policy_moves(ends):
     """As where rewards have a mean: zero, at which it begins, is far off then."""
-    after = partial(value_after, ends=ends, raised=30.0)
-    before, slowly, soon = after(settling=0), after(settling=40, offset_rate=0.0), after(settling=40)
+    after = partial(value_after, ends=ends, raised=30.0, settling=40)
+    slowly, soon = after(offset_rate=0.0), after()
+    begun = new_value(starts().scaler, CONFIG, key=jr.key(4)).raised(jnp.asarray(30.0))
+    before = np.asarray(jax.vmap(begun)(starts().seen)) * (1 - CONFIG.gamma)
     truth = np.ones(len(soon)) if ends is None else np.where(starts().seen[:, 0] > 0, 1 - CONFIG.gamma, 1.0)
     off_by = lambda value: np.mean(np.abs(value - truth))
     assert off_by(before) > 1.5

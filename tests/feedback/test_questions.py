@@ -13,13 +13,14 @@ from hiprl.data.answer import choice
 from hiprl.data.preference import Clip, Preferences
 from hiprl.errors import InputError
 from hiprl.feedback import questions
-from hiprl.feedback.questions import QuestionConfig, Questions, expected_information, information, pick_clips
+from hiprl.feedback.questions import QuestionConfig, Questions, expected_information, pick_clips
 from hiprl.models.answers import estimate_from_answers
 from hiprl.models.features import Kernel
 from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
 from tests.models.worlds import linear_set
 
 H, N, STEPS = 31, 17, 11
+drawn, information = (jax.jit(f, static_argnames="config") for f in (questions.drawn, questions.information))
 TELLING = QuestionConfig(clip=STEPS, pick="information", levels=2, candidates=200, aligned=0.0)
 
 
@@ -89,8 +90,8 @@ def test_the_question_picked_is_worth_most(T, reward):
 def test_what_is_known_of_a_question_is_what_the_reward_says_of_its_clips(T, reward):
     config = replace(TELLING, levels=None)  # then the worth is the log of σ_g, where the unit is known
     reward = eqx.tree_at(lambda r: r.errors.spread, reward, jnp.zeros(()))
-    asked = questions.drawn(T, config, key=jr.key(4))
-    worth = np.asarray(information(T, reward, asked, config))
+    asked = drawn(T, config, key=jr.key(4))
+    worth = np.asarray(information(T, reward, asked, config=config))
     for i in np.flatnonzero(np.isfinite(worth))[:5]:
         first, second = (T.clip(jax.tree.map(lambda x: x[k], asked.clips)) for k in asked.shown[i])  # noqa: B023
         assert worth[i] == pytest.approx(np.log(reward.gap(first, second).sigma), abs=1e-2)
@@ -106,7 +107,7 @@ def test_aligned_questions_are_about_the_newest_and_the_best(T, reward):
 
 def test_a_clip_is_never_compared_with_itself(T, reward):
     clips = Clip.at(jnp.asarray([[2, 2], [2, 2], [2, 3]]), jnp.asarray([[4, 9], [1, 15], [4, 4]]), STEPS)
-    worth = np.asarray(information(T, reward, made_of(clips), TELLING))
+    worth = np.asarray(information(T, reward, made_of(clips), config=TELLING))
     assert worth[0] == -np.inf and np.isfinite(worth[1:]).all()
 
 

@@ -1,8 +1,10 @@
 """The worth of an answer, against draws from the belief."""
 
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
@@ -12,12 +14,21 @@ from hiprl.data.answer import choice
 from hiprl.data.preference import Clip, Preferences
 from hiprl.feedback import worth as module
 from hiprl.feedback.questions import QuestionConfig, apart, drawn, phi_of
-from hiprl.feedback.worth import seen, worth
+from hiprl.feedback.worth import worth
 from hiprl.models.answers import estimate_from_answers
 from hiprl.models.features import Kernel
 from tests.models.worlds import linear_set
 
-H, N, STEPS, DRAWS = 31, 13, 11, 200_000
+H, N, STEPS, DRAWS = 31, 17, 11, 200_000  # the shapes of test_questions.py: what is learned compiles once
+
+
+seen = jax.jit(module.seen)
+
+
+@partial(jax.jit, static_argnames="config")
+def psi_of(T, reward, config, key):
+    asked = drawn(T, config, key=key)
+    return apart(phi_of(T, reward.features, asked.clips, config), asked.shown)[:, 0]
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +38,7 @@ def T():
 
 @pytest.fixture(scope="module")
 def reward(T):
-    P = Preferences.empty(11)
+    P = Preferences.empty(13)
     for k in range(3):
         clips = [Clip.at(k, k, STEPS), Clip.at(k + 1, 2 * k, STEPS)]
         P = P.answered(choice(k % 2 > 0), clips, at_hand=jnp.asarray(7, jnp.int32))
@@ -63,9 +74,7 @@ def by_draws(T, reward, config, answers):
     Phi, there = (np.asarray(x) for x in seen(T, reward))
     R = theta @ Phi[there].T
     rng, gains = np.random.default_rng(2), []
-    asked = drawn(T, replace(config, candidates=7), key=jr.key(3))
-    psi = np.asarray(apart(phi_of(T, reward.features, asked.clips, config), asked.shown)[:, 0])
-    for one in psi:
+    for one in np.asarray(psi_of(T, reward, replace(config, candidates=7), jr.key(3))):
         said = answers(theta @ one, rng)
         after = [(np.mean(said == x), R[said == x].mean(axis=0).max()) for x in np.unique(said)]
         gains.append(sum(p * best for p, best in after) - R.mean(axis=0).max())

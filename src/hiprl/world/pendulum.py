@@ -21,7 +21,8 @@ class SwingUp(Task):
     several swings. The reward is 1 within 18° of the top at less than 0.5 rad/s, and vanishes a little
     outside; with a price on torque, an attempt that misses the top is worth less than doing nothing.
 
-    Differs from the source in two ways: the source observes θ itself, and hangs exactly still at the start.
+    Differs from the source in three ways: the source observes θ itself, hangs exactly still at the start, and lets
+    imagination begin at any angle, but at rest only.
 
     Source: Curi et al. (2020), experiments on the inverted pendulum, and the code released with them: mass,
     length, friction, time step, horizon, reward and torque limit.
