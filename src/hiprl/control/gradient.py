@@ -58,7 +58,7 @@ class GradientConfig:
     offset_rate: float = 0.1
     """Share of what the value is off by in all states alike that is mended with each update."""
     gamma: float | None = None
-    """Discount a step; None for 1 - 5/H, between 0.99 and 0.995: long episodes need a longer sight."""
+    """Discount a step; None for 1 - 2/H, between 0.99 and 0.995: long episodes need a longer sight."""
     lambda_: float = 1.0
     """TD(λ): 0 trusts the value after one step, 1 the whole imagined rollout."""
     entropy: float = 1e-3
@@ -83,7 +83,7 @@ class GradientConfig:
 
     def discount(self, H: int) -> float:
         """γ in episodes of at most H steps."""
-        return min(max(1 - 5 / H, 0.99), 0.995) if self.gamma is None else self.gamma
+        return min(max(1 - 2 / H, 0.99), 0.995) if self.gamma is None else self.gamma
 
 
 def new_gradient(inputs: Scaler, size: int, config: GradientConfig, *, key: Key) -> SearchState:
