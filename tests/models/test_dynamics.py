@@ -58,6 +58,17 @@ def test_the_likelihood_is_that_of_a_gaussian_in_every_dimension(learned):
         assert float(nll(member, s, a, step)) == pytest.approx(by_scipy - constant, rel=1e-4, abs=1e-4)
 
 
+@pytest.mark.parametrize("power", [0.0, 0.5, 1.0])
+def test_an_error_pulls_by_its_size_over_the_variance_less_its_weight(learned, power):
+    member = jax.tree.map(lambda x: x[1], learned[0].ensemble.stack)
+    s, a, step = jnp.ones(p), jnp.ones(q), jnp.full(p, 0.3)
+    mean, var = (np.asarray(x, float) for x in member.standardised(s, a))
+
+    moved = lambda by: eqx.tree_at(lambda m: m.net.biases[-1], member, member.net.biases[-1] + by)
+    pull = jax.grad(lambda by: nll(moved(by), s, a, step, power=power))(jnp.zeros(2 * p))[:p]
+    np.testing.assert_allclose(pull, var**power * (mean - np.asarray(step)) / var, rtol=1e-3)
+
+
 def test_a_fitted_model_is_near_the_truth_where_it_has_data(T, learned, test_rows):
     before = error_of(new_dynamics(T, CONFIG, key=jr.key(2)), *test_rows)
     assert error_of(learned[0], *test_rows) < 0.25 < before

@@ -50,12 +50,19 @@ class DynamicsConfig:
     """Share of the transitions that no member trains on."""
     bootstrap: bool = True
     """Whether each member weighs the transitions by Poisson(1) draws of its own (paper: no)."""
+    noise_weight: float = 0.5
+    """Power of its own variance by which a row is weighed: 0 for the likelihood (paper), 1 for least squares."""
 
     def __post_init__(self) -> None:
         if self.M < 2:
             raise InputError(
                 f"got an ensemble of M = {self.M}; at least 2 members are needed, as σ is the spread of their means. "
                 "Take 5, as the paper does."
+            )
+        if not 0 <= self.noise_weight <= 1:
+            raise InputError(
+                f"got a noise_weight of {self.noise_weight}; it must be between 0 (likelihood) and 1 (least squares). "
+                "Take 0.5."
             )
 
     def layers(self, size: int) -> tuple[int, ...]:
@@ -81,10 +88,18 @@ def new_dynamics(T: Trajectories, config: DynamicsConfig, *, key: Key) -> Dynami
     return DynamicsState(ensemble, jr.key_data(bootstrap_key))
 
 
-def nll(member: Member, s: Float[Array, " p"], a: Float[Array, " q"], step: Float[Array, " p"]) -> Scalar:
-    """Negative log likelihood of a standardised step s′ - s, summed over dimensions, less its constant."""
+def nll(
+    member: Member, s: Float[Array, " p"], a: Float[Array, " q"], step: Float[Array, " p"], *, power: float = 0.0
+) -> Scalar:
+    """Negative log likelihood of a standardised step s′ - s, summed over dimensions, less its constant.
+
+    Each dimension is weighed by its variance to the `power`, which is no part of the gradient. Without it a region
+    that was badly fitted once has a large variance, so that its errors count for little ever after.
+    Source: β-NLL, Seitzer et al. (2022).
+    """
     mean, var = member.standardised(s, a)
-    return 0.5 * jnp.sum((step - mean) ** 2 / var + jnp.log(var))
+    weight = jax.lax.stop_gradient(var) ** power
+    return 0.5 * jnp.sum(weight * ((step - mean) ** 2 / var + jnp.log(var)))
 
 
 def one_cycle(peak: float, steps: Count, now: Count) -> Scalar:
@@ -121,21 +136,21 @@ def estimate_dynamics(
 
     net_of = lambda stack: stack.net  # the scalers are not trained
 
-    def member_loss(net, weight, idx):
-        member = Member(net, inputs, scaler)
-        loss = jax.vmap(nll, in_axes=(None, 0, 0, 0))(member, rows.s[idx], rows.a[idx], targets[idx])
-        return jnp.mean(weight[idx] * loss)
+    def member_loss(net, weight, idx, power: float = 0.0):
+        loss = partial(nll, Member(net, inputs, scaler), power=power)
+        return jnp.mean(weight[idx] * jax.vmap(loss)(rows.s[idx], rows.a[idx], targets[idx]))
 
     def train_loss(nets, step_key: Key) -> Scalar:
         idx = train_draw(step_key, (M, config.batch))
-        return jnp.sum(jax.vmap(member_loss)(nets, weights.astype(jnp.float32), idx))
+        each = jax.vmap(partial(member_loss, power=config.noise_weight))
+        return jnp.sum(each(nets, weights.astype(jnp.float32), idx))
 
     fit_key, judge_key = jr.split(key)
     judged = held_draw(judge_key, (1024,))
 
     def held_out_loss(nets) -> Scalar:
-        ones = jnp.ones(n)
-        return jnp.mean(jax.vmap(member_loss, in_axes=(0, None, None))(nets, ones, judged))
+        each = jax.vmap(member_loss, in_axes=(0, None, None))
+        return jnp.mean(each(nets, jnp.ones(n), judged))
 
     chunks = jnp.maximum(steps // config.chunk, 1)
     rate = lambda now: one_cycle(config.learning_rate, chunks * config.chunk, jnp.asarray(now))
