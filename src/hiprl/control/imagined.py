@@ -66,7 +66,7 @@ class Starts(eqx.Module):
     """Where imagined rollouts may begin."""
 
     seen: Float[Array, "n p"]
-    """Seen states, drawn afresh for each search, and as many that the world says are anywhere."""
+    """Seen states, drawn afresh for each search; half of them are the world's own where it says what is anywhere."""
     first: Float[Array, "N p"]
     """States in which episodes began."""
     scaler: Scaler

@@ -16,9 +16,13 @@ from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import InputError
 from hiprl.models.ensemble import Ensemble, Member
 from hiprl.models.fit import FitReport, fit
-from hiprl.models.network import FEW, Activation, state_action_scaler, step_scaler
+from hiprl.models.network import FEW, Activation, Scaler, state_action_scaler, step_scaler
 from hiprl.models.rows import RowDraw
 from hiprl.types import Count, Key, Scalar
+
+SPREAD = 5.0
+"""A fit begins anew once an input is so many times as wide as it was. Weights that fit a small region are too steep for a
+large one: their variance is at its bound there, where it has no gradient, and errors count for nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,10 +86,14 @@ class DynamicsState(eqx.Module):
 def new_dynamics(T: Trajectories, config: DynamicsConfig, *, key: Key) -> DynamicsState:
     """An ensemble that knows no more of the world than its units: those of T."""
     net_key, bootstrap_key = jr.split(key)
-    inputs = state_action_scaler(T)
-    shape = {"M": config.M, "hidden": config.layers(inputs.size), "activation": config.activation}
-    ensemble = Ensemble.draw(inputs, step_scaler(T), **shape, key=net_key)
+    ensemble = drawn(state_action_scaler(T), step_scaler(T), config, key=net_key)
     return DynamicsState(ensemble, jr.key_data(bootstrap_key))
+
+
+def drawn(inputs: Scaler, steps: Scaler, config: DynamicsConfig, *, key: Key) -> Ensemble:
+    """One with new weights, for (s, a) and s′ - s in these units."""
+    shape = {"M": config.M, "hidden": config.layers(inputs.size), "activation": config.activation}
+    return Ensemble.draw(inputs, steps, **shape, key=key)
 
 
 def nll(
@@ -119,11 +127,19 @@ def estimate_dynamics(
 ) -> tuple[DynamicsState, FitReport]:
     """Fits the ensemble to T, from the weights it has, by at most `steps` gradient steps: whole chunks of them.
 
+    Where T has spread to far more than it was, the fit begins with new weights, and takes `cold_steps`.
+
     Source: HIP-RL Algorithm 1, EstDynamics; Appendix B.
     """
+    fit_key, judge_key, net_key = jr.split(key, 3)
     rows = T.transitions()
     inputs, scaler = state_action_scaler(T), step_scaler(T)
-    stack = jax.vmap(Member.rescaled, in_axes=(0, None, None))(state.ensemble.stack, inputs, scaler)
+    old = state.ensemble.stack
+    spread = jnp.any(inputs.std > SPREAD * old.inputs.std)
+    new = drawn(inputs, scaler, config, key=net_key).stack
+    same = jax.vmap(Member.rescaled, in_axes=(0, None, None))(old, inputs, scaler)
+    stack = jax.tree.map(lambda new, same: jnp.where(spread, new, same), new, same)
+    steps = jnp.where(spread, jnp.maximum(steps, config.cold_steps), steps)
     targets = jax.vmap(scaler.down)(rows.s_next - rows.s)
 
     weight_key, held_key = jr.split(jr.wrap_key_data(state.bootstrap))
@@ -145,7 +161,6 @@ def estimate_dynamics(
         each = jax.vmap(partial(member_loss, power=config.noise_weight))
         return jnp.sum(each(nets, weights.astype(jnp.float32), idx))
 
-    fit_key, judge_key = jr.split(key)
     judged = held_draw(judge_key, (1024,))
 
     def held_out_loss(nets) -> Scalar:
