@@ -21,6 +21,7 @@ from hiprl.evaluate import episodes, true_returns
 from hiprl.models.reward import EstimatedReward, Gap
 from hiprl.models.usual import typical_size
 from hiprl.reported import actor_of, confirmed
+from hiprl.spec import from_plain
 from hiprl.types import Action, Key, Scalar, State
 from hiprl.world.jax_world import JaxWorld
 from hiprl.world.task import Task
@@ -92,4 +93,5 @@ def of_settings(env: str, seed: int, settings: dict[str, Any]) -> dict[str, Any]
 
     world = world_from(env)
     assert isinstance(world, JaxWorld), "the reward of a world is known where it is written in JAX"
-    return learned(world, replace(Config(), **settings.get("config", {})), seed=seed)
+    differs = {name: from_plain(value) for name, value in settings.get("config", {}).items()}
+    return learned(world, replace(Config(), **differs), seed=seed)

@@ -32,8 +32,8 @@ class Job:
     kind: str = "hiprl"
     """`hiprl`; `known` for a run that knows the reward; or `sb3`: Stable-Baselines3's PPO in the true environment."""
     settings: dict[str, Any] = field(default_factory=dict)
-    """hiprl: `preset`, `comparisons`, `judge`, `horizon`, and in `config` what differs from the preset. sb3: as
-    `sb3_side.py` has it."""
+    """hiprl: `preset`, `comparisons`, `judge`, `horizon`, and in `config` what differs from the preset, its parts as
+    `hiprl.spec.to_plain` has them. sb3: as `sb3_side.py` has it."""
 
     @property
     def name(self) -> str:
@@ -162,13 +162,15 @@ def by_hiprl(job: Job, path: Path) -> Outcome:
 
     from hiprl.api import learn, resume
     from hiprl.config import preset
+    from hiprl.spec import from_plain
     from hiprl.store.store import open_store
 
     def watch(facts: Outcome) -> None:
         progress(f"{facts['k']} comparisons: executed {facts['true_return']:.1f}")
 
     settings = dict(job.settings)
-    config = replace(preset(settings.pop("preset", "default"), job.env), **settings.pop("config", {}))
+    differs = {name: from_plain(value) for name, value in settings.pop("config", {}).items()}
+    config = replace(preset(settings.pop("preset", "default"), job.env), **differs)
     with open_store(path) as store:
         runs = store.runs()
         finished = bool(runs) and store.final(runs[0].id) is not None

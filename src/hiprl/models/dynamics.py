@@ -21,8 +21,8 @@ from hiprl.models.rows import RowDraw
 from hiprl.types import Count, Key, Scalar
 
 SPREAD = 5.0
-"""A fit begins anew once an input is so many times as wide as it was. Weights that fit a small region are too steep for a
-large one: their variance is at its bound there, where it has no gradient, and errors count for nothing."""
+"""A fit begins anew once an input is so many times as wide as it was. Weights that fit a small region are too steep
+for a large one: their variance is at its bound there, where it has no gradient, and errors count for nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
