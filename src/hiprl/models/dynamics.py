@@ -54,7 +54,7 @@ class DynamicsConfig:
     """Share of the transitions that no member trains on."""
     bootstrap: bool = True
     """Whether each member weighs the transitions by Poisson(1) draws of its own (paper: no)."""
-    noise_weight: float = 0.5
+    noise_weight: float = 0.0
     """Power of its own variance by which a row is weighed: 0 for the likelihood (paper), 1 for least squares."""
 
     def __post_init__(self) -> None:
@@ -66,7 +66,7 @@ class DynamicsConfig:
         if not 0 <= self.noise_weight <= 1:
             raise InputError(
                 f"got a noise_weight of {self.noise_weight}; it must be between 0 (likelihood) and 1 (least squares). "
-                "Take 0.5."
+                "Take 0."
             )
 
     def layers(self, size: int) -> tuple[int, ...]:
