@@ -135,7 +135,7 @@ def estimate_dynamics(
     rows = T.transitions()
     inputs, scaler = state_action_scaler(T), step_scaler(T)
     old = state.ensemble.stack
-    spread = jnp.any(inputs.std > SPREAD * old.inputs.std)
+    spread = jnp.any(inputs.std[None] > SPREAD * old.inputs.std)
     new = drawn(inputs, scaler, config, key=net_key).stack
     same = jax.vmap(Member.rescaled, in_axes=(0, None, None))(old, inputs, scaler)
     stack = jax.tree.map(lambda new, same: jnp.where(spread, new, same), new, same)
