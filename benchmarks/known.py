@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -21,8 +20,8 @@ from hiprl.evaluate import episodes, true_returns
 from hiprl.models.reward import EstimatedReward, Gap
 from hiprl.models.usual import typical_size
 from hiprl.reported import actor_of, confirmed
-from hiprl.spec import from_plain
 from hiprl.types import Action, Key, Scalar, State
+from hiprl.world.build import world_from
 from hiprl.world.jax_world import JaxWorld
 from hiprl.world.task import Task
 
@@ -63,8 +62,10 @@ def next_episode(run: Run, world: JaxWorld, config: Config, *, key: Key) -> Run:
     return eqx.tree_at(lambda run: run.reward, after, known(world.task, after.T))
 
 
-def learned(world: JaxWorld, config: Config, *, seed: int) -> dict[str, Any]:
+def learned(env: str, config: Config, *, seed: int) -> dict[str, Any]:
     """All of a run; gives its outcome as `benchmarks.runner` has it."""
+    world = world_from(env)
+    assert isinstance(world, JaxWorld), "the reward of a world is known where it is written in JAX"
     began, key = time.perf_counter(), jr.key(seed)
     run = begin(world, config, key=key)
     run = eqx.tree_at(lambda run: run.reward, run, known(world.task, run.T))
@@ -85,13 +86,3 @@ def learned(world: JaxWorld, config: Config, *, seed: int) -> dict[str, Any]:
         "executed": [float(x) for x in run.reward.returns(run.T)],
         "wall_seconds": time.perf_counter() - began,
     }
-
-
-def of_settings(env: str, seed: int, settings: dict[str, Any]) -> dict[str, Any]:
-    """The outcome of a job: `config` in its settings is what differs from the default."""
-    from hiprl.world.build import world_from
-
-    world = world_from(env)
-    assert isinstance(world, JaxWorld), "the reward of a world is known where it is written in JAX"
-    differs = {name: from_plain(value) for name, value in settings.get("config", {}).items()}
-    return learned(world, replace(Config(), **differs), seed=seed)

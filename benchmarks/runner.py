@@ -14,9 +14,12 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from benchmarks.common import cores, machine, progress
+
+if TYPE_CHECKING:
+    from hiprl.config import Config
 
 Outcome = dict[str, Any]
 
@@ -156,21 +159,27 @@ def work(order: str) -> None:
     print(json.dumps(kinds[job.kind]()))
 
 
-def by_hiprl(job: Job, path: Path) -> Outcome:
-    """A run of ours, from its start or from where it was stopped."""
+def config_of(job: Job) -> Config:
+    """The settings of a run of ours."""
     from dataclasses import replace
 
-    from hiprl.api import learn, resume
     from hiprl.config import preset
     from hiprl.spec import from_plain
+
+    differs = {name: from_plain(value) for name, value in job.settings.get("config", {}).items()}
+    return replace(preset(job.settings.get("preset", "default"), job.env), **differs)
+
+
+def by_hiprl(job: Job, path: Path) -> Outcome:
+    """A run of ours, from its start or from where it was stopped."""
+    from hiprl.api import learn, resume
     from hiprl.store.store import open_store
 
     def watch(facts: Outcome) -> None:
         progress(f"{facts['k']} comparisons: executed {facts['true_return']:.1f}")
 
-    settings = dict(job.settings)
-    differs = {name: from_plain(value) for name, value in settings.pop("config", {}).items()}
-    config = replace(preset(settings.pop("preset", "default"), job.env), **differs)
+    settings = {name: value for name, value in job.settings.items() if name not in ("preset", "config")}
+    config = config_of(job)
     with open_store(path) as store:
         runs = store.runs()
         finished = bool(runs) and store.final(runs[0].id) is not None
@@ -192,9 +201,9 @@ def reported(episodes: Sequence[Outcome]) -> list[float | None]:
 
 def by_known(job: Job) -> Outcome:
     """A run that knows the reward, from its start: it takes minutes."""
-    from benchmarks.known import of_settings
+    from benchmarks.known import learned
 
-    return of_settings(job.env, job.seed, job.settings)
+    return learned(job.env, config_of(job), seed=job.seed)
 
 
 def by_sb3(job: Job) -> Outcome:

@@ -133,7 +133,6 @@ def test_an_unknown_preset_is_refused_in_three_parts():
 
 WITHOUT_A_MEANING = {
     "one member": lambda: DynamicsConfig(M=1),
-    "more than least squares": lambda: DynamicsConfig(noise_weight=1.5),
     "one reward network": lambda: NetworkConfig(members=1),
     "more elites than proposals": lambda: PlanConfig(elites=65),
     "noise as large as the box": lambda: PlanConfig(noise=1.0),

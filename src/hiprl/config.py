@@ -205,7 +205,6 @@ def paper(env: str) -> Config:
             learning_rate=1e-3,
             weight_decay=0.0,
             bootstrap=False,
-            noise_weight=0.0,
             warm_steps=800,
             chunk=100,
             patience=1000,

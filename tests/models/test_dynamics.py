@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hiprl.models.dynamics import DynamicsConfig, estimate_dynamics, new_dynamics, nll, one_cycle
+from hiprl.models.dynamics import SPREAD, DynamicsConfig, estimate_dynamics, new_dynamics, nll, one_cycle
 from tests.data.samples import clean, p, q
 from tests.models.worlds import NOISE, A, B, linear_set
 
@@ -59,17 +59,6 @@ def test_the_likelihood_is_that_of_a_gaussian_in_every_dimension(learned):
         assert float(nll(member, s, a, step)) == pytest.approx(by_scipy - constant, rel=1e-4, abs=1e-4)
 
 
-@pytest.mark.parametrize("power", [0.0, 0.5, 1.0])
-def test_an_error_pulls_by_its_size_over_the_variance_less_its_weight(learned, power):
-    member = jax.tree.map(lambda x: x[1], learned[0].ensemble.stack)
-    s, a, step = jnp.ones(p), jnp.ones(q), jnp.full(p, 0.3)
-    mean, var = (np.asarray(x, float) for x in member.standardised(s, a))
-
-    moved = lambda by: eqx.tree_at(lambda m: m.net.biases[-1], member, member.net.biases[-1] + by)
-    pull = jax.grad(lambda by: nll(moved(by), s, a, step, power=power))(jnp.zeros(2 * p))[:p]
-    np.testing.assert_allclose(pull, var**power * (mean - np.asarray(step)) / var, rtol=1e-3)
-
-
 def test_a_fitted_model_is_near_the_truth_where_it_has_data(T, learned, test_rows):
     before = error_of(new_dynamics(T, CONFIG, key=jr.key(2)), *test_rows)
     assert error_of(learned[0], *test_rows) < 0.25 < before
@@ -98,6 +87,19 @@ def test_a_refit_goes_on_from_the_weights_there_are(T, learned, test_rows):
     warm, _ = fitted(T, steps=CONFIG.warm_steps, before=learned[0])
     assert error_of(warm, *test_rows) < 0.8 * error_of(cold, *test_rows)
     np.testing.assert_array_equal(warm.bootstrap, learned[0].bootstrap)
+
+
+def test_where_t_has_spread_to_far_more_nothing_is_left_of_the_weights_there_were(T, learned):
+    narrow, _ = learned
+    wide = eqx.tree_at(lambda T: T.rows.states, T, T.rows.states * (1.1 * SPREAD))
+    other = eqx.tree_at(
+        lambda d: d.ensemble.stack.net.weights, narrow, jax.tree.map(lambda w: w + 1, narrow.ensemble.stack.net.weights)
+    )
+    one, report = fitted(wide, steps=CONFIG.warm_steps, before=narrow)
+    another, _ = fitted(wide, steps=CONFIG.warm_steps, before=other)
+    assert CONFIG.warm_steps < int(report.steps) <= CONFIG.cold_steps
+    for x, y in zip(jax.tree.leaves(one), jax.tree.leaves(another), strict=True):
+        np.testing.assert_array_equal(x, y)
 
 
 def test_more_steps_than_asked_for_are_never_taken(T, learned):

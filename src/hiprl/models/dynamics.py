@@ -23,6 +23,7 @@ from hiprl.types import Count, Key, Scalar
 SPREAD = 5.0
 """A fit begins anew once an input is so many times as wide as it was. Weights that fit a small region are too steep
 for a large one: their variance is at its bound there, where it has no gradient, and errors count for nothing."""
+NEW_WEIGHTS = 2  # folded into the key of a fit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,19 +55,12 @@ class DynamicsConfig:
     """Share of the transitions that no member trains on."""
     bootstrap: bool = True
     """Whether each member weighs the transitions by Poisson(1) draws of its own (paper: no)."""
-    noise_weight: float = 0.0
-    """Power of its own variance by which a row is weighed: 0 for the likelihood (paper), 1 for least squares."""
 
     def __post_init__(self) -> None:
         if self.M < 2:
             raise InputError(
                 f"got an ensemble of M = {self.M}; at least 2 members are needed, as σ is the spread of their means. "
                 "Take 5, as the paper does."
-            )
-        if not 0 <= self.noise_weight <= 1:
-            raise InputError(
-                f"got a noise_weight of {self.noise_weight}; it must be between 0 (likelihood) and 1 (least squares). "
-                "Take 0."
             )
 
     def layers(self, size: int) -> tuple[int, ...]:
@@ -96,18 +90,10 @@ def drawn(inputs: Scaler, steps: Scaler, config: DynamicsConfig, *, key: Key) ->
     return Ensemble.draw(inputs, steps, **shape, key=key)
 
 
-def nll(
-    member: Member, s: Float[Array, " p"], a: Float[Array, " q"], step: Float[Array, " p"], *, power: float = 0.0
-) -> Scalar:
-    """Negative log likelihood of a standardised step s′ - s, summed over dimensions, less its constant.
-
-    Each dimension is weighed by its variance to the `power`, which is no part of the gradient. Without it a region
-    that was badly fitted once has a large variance, so that its errors count for little ever after.
-    Source: β-NLL, Seitzer et al. (2022).
-    """
+def nll(member: Member, s: Float[Array, " p"], a: Float[Array, " q"], step: Float[Array, " p"]) -> Scalar:
+    """Negative log likelihood of a standardised step s′ - s, summed over dimensions, less its constant."""
     mean, var = member.standardised(s, a)
-    weight = jax.lax.stop_gradient(var) ** power
-    return 0.5 * jnp.sum(weight * ((step - mean) ** 2 / var + jnp.log(var)))
+    return 0.5 * jnp.sum((step - mean) ** 2 / var + jnp.log(var))
 
 
 def one_cycle(peak: float, steps: Count, now: Count) -> Scalar:
@@ -127,19 +113,17 @@ def estimate_dynamics(
 ) -> tuple[DynamicsState, FitReport]:
     """Fits the ensemble to T, from the weights it has, by at most `steps` gradient steps: whole chunks of them.
 
-    Where T has spread to far more than it was, the fit begins with new weights, and takes `cold_steps`.
+    Where T has spread to far more than it was, it begins with new weights instead, and may take `cold_steps`.
 
     Source: HIP-RL Algorithm 1, EstDynamics; Appendix B.
     """
-    fit_key, judge_key, net_key = jr.split(key, 3)
     rows = T.transitions()
     inputs, scaler = state_action_scaler(T), step_scaler(T)
-    old = state.ensemble.stack
-    spread = jnp.any(inputs.std[None] > SPREAD * old.inputs.std)
-    new = drawn(inputs, scaler, config, key=net_key).stack
-    same = jax.vmap(Member.rescaled, in_axes=(0, None, None))(old, inputs, scaler)
-    stack = jax.tree.map(lambda new, same: jnp.where(spread, new, same), new, same)
-    steps = jnp.where(spread, jnp.maximum(steps, config.cold_steps), steps)
+    same = jax.vmap(Member.rescaled, in_axes=(0, None, None))(state.ensemble.stack, inputs, scaler)
+    new = drawn(inputs, scaler, config, key=jr.fold_in(key, NEW_WEIGHTS)).stack
+    anew = jnp.any(inputs.std[None] > SPREAD * state.ensemble.stack.inputs.std)
+    stack = jax.tree.map(partial(jnp.where, anew), new, same)
+    steps = jnp.where(anew, jnp.maximum(steps, config.cold_steps), steps)
     targets = jax.vmap(scaler.down)(rows.s_next - rows.s)
 
     weight_key, held_key = jr.split(jr.wrap_key_data(state.bootstrap))
@@ -152,20 +136,21 @@ def estimate_dynamics(
 
     net_of = lambda stack: stack.net  # the scalers are not trained
 
-    def member_loss(net, weight, idx, power: float = 0.0):
-        loss = partial(nll, Member(net, inputs, scaler), power=power)
-        return jnp.mean(weight[idx] * jax.vmap(loss)(rows.s[idx], rows.a[idx], targets[idx]))
+    def member_loss(net, weight, idx):
+        member = Member(net, inputs, scaler)
+        loss = jax.vmap(nll, in_axes=(None, 0, 0, 0))(member, rows.s[idx], rows.a[idx], targets[idx])
+        return jnp.mean(weight[idx] * loss)
 
     def train_loss(nets, step_key: Key) -> Scalar:
         idx = train_draw(step_key, (M, config.batch))
-        each = jax.vmap(partial(member_loss, power=config.noise_weight))
-        return jnp.sum(each(nets, weights.astype(jnp.float32), idx))
+        return jnp.sum(jax.vmap(member_loss)(nets, weights.astype(jnp.float32), idx))
 
+    fit_key, judge_key = jr.split(key)
     judged = held_draw(judge_key, (1024,))
 
     def held_out_loss(nets) -> Scalar:
-        each = jax.vmap(member_loss, in_axes=(0, None, None))
-        return jnp.mean(each(nets, jnp.ones(n), judged))
+        ones = jnp.ones(n)
+        return jnp.mean(jax.vmap(member_loss, in_axes=(0, None, None))(nets, ones, judged))
 
     chunks = jnp.maximum(steps // config.chunk, 1)
     rate = lambda now: one_cycle(config.learning_rate, chunks * config.chunk, jnp.asarray(now))
