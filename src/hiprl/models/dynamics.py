@@ -20,7 +20,7 @@ from hiprl.models.network import FEW, Activation, Scaler, state_action_scaler, s
 from hiprl.models.rows import RowDraw
 from hiprl.types import Count, Key, Scalar
 
-SPREAD = 5.0
+SPREAD = 10.0
 """A fit begins anew once an input is so many times as wide as it was. Weights that fit a small region are too steep
 for a large one: their variance is at its bound there, where it has no gradient, and errors count for nothing."""
 NEW_WEIGHTS = 2  # folded into the key of a fit
