@@ -28,10 +28,13 @@ os.environ["MPLCONFIGDIR"] = str(CACHE / "matplotlib")  # its font list takes se
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE / "jax")
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.3"
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-# Nearly all the time of the tests is spent on compiling programs that run for a moment.
+# Nearly all the time of the tests is spent on compiling programs that run for a moment. These halve it; a fit in
+# earnest would take three times as long.
 os.environ.setdefault(
     "XLA_FLAGS",
-    "--xla_backend_optimization_level=1 --xla_disable_hlo_passes=while-loop-invariant-code-motion",
+    "--xla_backend_optimization_level=0 --xla_disable_hlo_passes=while-loop-invariant-code-motion"
+    " --xla_cpu_use_fusion_emitters=false --xla_cpu_enable_concurrency_optimized_scheduler=false"
+    " --xla_cpu_parallel_codegen_split_count=1",
 )
 
 # A shell's background jobs ignore Ctrl-C, and so would the programs that tests start and interrupt.
