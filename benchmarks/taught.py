@@ -109,12 +109,13 @@ def taught(wish: Wish, *, answers: int, seed: int, store: str) -> dict[str, Any]
         final = opened.final(run)
         assert final is not None
         newest = opened.newest(run, "policy")
+        episodes = None if newest is None else opened.executed_before(run, newest)
     waits = sorted(person.waits)
     return {
         "answers": given,
         "return": final["return_mean"],
         "return_std": final["return_std"],
-        "episodes": None if newest is None else newest[1],
+        "episodes": episodes,
         "env_steps": final["env_steps"],
         "wait_95": waits[int(0.95 * (len(waits) - 1))] if waits else None,
         "minutes": (time.monotonic() - began) / 60,

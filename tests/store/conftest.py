@@ -47,7 +47,7 @@ def emptied_database(postgres_folder: Path) -> Callable[[], str]:
             )
             connection.execute("DELETE FROM leases; DELETE FROM checkpoints; DELETE FROM episodes")
             connection.execute("DELETE FROM finals; DELETE FROM scenes; DELETE FROM goals")
-            connection.execute("DELETE FROM enough; DELETE FROM runs")
+            connection.execute("DELETE FROM enough; DELETE FROM runs; DELETE FROM pages")
         return url
 
     return empty

@@ -112,3 +112,18 @@ def test_a_killed_process_leaves_its_run_to_the_next(made: str, store: Store, ru
         process.send_signal(signal.SIGKILL)
     with store.lease(run_id) as lease:
         lease.renew()
+
+
+def test_it_is_seen_whether_a_trainer_lives(store: Store, run_id: str):
+    ended = subprocess.Popen(["true"])
+    ended.wait()
+    assert not store.trained(run_id)
+    with store.lease(run_id):
+        assert store.trained(run_id) and not store.trained(store.add_run("Ant-v5", 3, {}, {}))
+    assert not store.trained(run_id)
+    with store.lease(run_id, owner=ELSEWHERE, seconds=900.0):
+        assert store.trained(run_id)  # of other machines nothing is known
+    with store.lease(run_id, owner=ELSEWHERE, seconds=0.0):
+        assert not store.trained(run_id)  # silent for too long
+    with store.lease(run_id, owner=Owner(Owner.here().host, ended.pid), seconds=900.0):
+        assert not store.trained(run_id)  # killed

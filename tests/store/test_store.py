@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from threading import Barrier
 
 import jax.numpy as jnp
@@ -166,9 +167,10 @@ def test_a_trajectory_comes_back_bit_for_bit(
     assert back.states.shape == (n + 1, 5)
     assert (back.length, back.terminated, back.number, back.imagined) == (n, terminated, 13, imagined)
     assert store.film(run_id, 13) == (None, imagined)
-    assert store.newest(run_id, "policy") == (None if imagined else (13, 0))
+    assert store.newest(run_id, "policy") == (None if imagined else 13) and store.executed_before(run_id, 13) == 0
     store.add_trajectory(run_id, 14, replace(tau, number=14, imagined=False), "policy")
-    assert store.newest(run_id, "policy") == (14, 0 if imagined else 1) and store.newest(run_id, "random") is None
+    assert store.newest(run_id, "policy") == 14 and store.newest(run_id, "random") is None
+    assert store.executed_before(run_id, 14) == (0 if imagined else 1)  # what was imagined does not count
     with pytest.raises(StoreError, match=f"its imagined is {imagined}"):
         store.add_trajectory(run_id, 13, replace(tau, imagined=not imagined), "policy")
 
@@ -477,3 +479,24 @@ def test_a_finished_run_keeps_its_summary_and_policy(store: Store, run_id: str):
     assert store.policy(run_id) == b"\x00policy\xff"
     with pytest.raises(StoreError, match=r"bit for bit .*\(the policy at its end\)"):
         store.finish(run_id, {}, b"another")
+
+
+# Its pages
+
+
+def test_the_secret_of_its_pages_is_made_once_and_stays(made: str, store: Store):
+    start = Barrier(4, timeout=10)
+
+    def first() -> str:
+        start.wait()
+        return store.secret()
+
+    with ThreadPoolExecutor(4) as pool:
+        (secret,) = {future.result() for future in [pool.submit(first) for _ in range(4)]}
+    with open_store(made) as again:
+        assert again.secret() == secret and len(secret) >= 32
+
+
+def test_another_store_has_another_secret(tmp_path: Path):
+    with open_store(tmp_path / "one.db") as one, open_store(tmp_path / "other.db") as other:
+        assert one.secret() != other.secret()

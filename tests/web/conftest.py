@@ -18,8 +18,8 @@ def run_id(store: Store) -> str:
 
 
 @pytest.fixture
-def doors() -> Doors:
-    return Doors("open sesame")
+def doors(store: Store) -> Doors:
+    return Doors(store.secret(), "open sesame")
 
 
 @pytest.fixture

@@ -239,6 +239,34 @@ def test_a_token_is_good_once_and_a_password_always(outside, doors: Doors):
     assert "httponly" in cookie and "samesite=strict" in cookie
 
 
+def test_who_came_in_is_known_to_every_page_on_the_store(client, store: Store, run_id: str, doors: Doors):
+    with TestClient(app_of(store, Doors(store.secret()), hosts=["testserver"]), follow_redirects=False) as later:
+        assert later.get(f"/runs/{run_id}").status_code == 303
+        later.cookies.update(client.cookies)  # as after a stop and a resume
+        assert later.get(f"/runs/{run_id}").status_code == 200
+    other = Doors("of another store")
+    assert other.cookie != doors.cookie and list(client.cookies) == [doors.cookie]
+    with TestClient(app_of(store, other, hosts=["testserver"]), follow_redirects=False) as elsewhere:
+        elsewhere.cookies.update(client.cookies)
+        assert elsewhere.get(f"/runs/{run_id}").status_code == 303
+        elsewhere.get("/enter", params={"token": other.token})
+        assert len(elsewhere.cookies) == 2  # neither is thrown out
+
+
+@pytest.mark.parametrize("path", ["/", "/runs/{}/teach", "/runs/{}/review"])
+def test_the_door_leads_to_where_one_was(outside, run_id: str, doors: Doors, path: str):
+    path = path.format(run_id)
+    door = outside.get(path).headers["location"]
+    assert f'name="next" value="{path}"' in outside.get(door).text
+    assert outside.post(door, data={"token": doors.token, "next": path}).headers["location"] == path
+
+
+@pytest.mark.parametrize("path", ["//evil.example/runs", "/%09/evil.example", "/%0d%0aSet-Cookie:a=b"])
+def test_the_door_is_not_sent_elsewhere(outside, path: str):
+    door = outside.get(f"http://testserver{path}").headers.get("location", "/enter?next=/")
+    assert door == "/enter?next=/"
+
+
 @pytest.mark.parametrize("to", ["//evil.example", "https://evil.example", "/\\evil.example", "javascript:1", "/enter"])
 def test_the_door_leads_nowhere_else(outside, doors: Doors, to: str):
     assert outside.get("/enter", params={"token": doors.token, "next": to}).headers["location"] == "/"

@@ -7,7 +7,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,7 +16,7 @@ from axe_playwright_python.sync_playwright import Axe
 
 from benchmarks.clicker import CHROMIUM, chromium, started
 from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, level
-from hiprl.store.store import Store
+from hiprl.store.store import Store, open_store
 from hiprl.web.shown import turned
 from tests.web.made import IMAGINED, a_taught_run
 from tests.web.trainer import CONFIG, begun
@@ -86,6 +87,25 @@ def test_a_password_lets_in_by_the_form(made: str, store: Store, browser: Any, m
         tab.keyboard.press("Enter")
         tab.wait_for_url(f"{home}/")
         assert "Come in" not in tab.content()
+        context.close()
+
+
+def test_pages_of_two_stores_know_their_own_browsers_and_a_tab_outlives_its_page(tmp_path: Path, browser: Any):
+    paths = [str(tmp_path / f"{name}.db") for name in ("one", "other")]
+    with ExitStack() as opened:
+        stores = [opened.enter_context(open_store(path)) for path in paths]
+        runs = [a_taught_run(store) for store in stores]
+        pages = [opened.enter_context(started("serve", "--store", path, "--port", "8700")) for path in paths[1:]]
+        context = browser.new_context()
+        with started("serve", "--store", paths[0], "--port", "8740") as page:
+            home, elsewhere = (re.match(r"http://[^/]+", one.address)[0] for one in (page, pages[0]))
+            tab, another = context.new_page(), context.new_page()
+            tab.goto(page.address)
+            another.goto(pages[0].address)
+            for one, where in ((tab, f"{home}/runs/{runs[0]}"), (another, f"{elsewhere}/runs/{runs[1]}")):
+                assert one.goto(where).status == 200 and one.url == where  # neither threw the other out
+        with started("serve", "--store", paths[0], "--port", "8740"):
+            assert tab.reload().status == 200 and tab.url == f"{home}/runs/{runs[0]}"
         context.close()
 
 

@@ -39,7 +39,7 @@ async function attempt(path, options) {
   }
   if ([502, 503, 504].includes(response.status)) return null;
   if (response.status === 401) {
-    location.assign("/enter");
+    location.assign(`/enter?next=${encodeURIComponent(location.pathname)}`);
     return new Promise(() => {});
   }
   if (!response.ok) throw new Refused(await words(response), response.status);

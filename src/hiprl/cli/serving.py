@@ -52,7 +52,7 @@ def serve(command: Serve) -> Facts:
         def again(token: str) -> None:
             say(f"In another browser: {address(token)}")
 
-        doors = Doors(os.environ.get(PASSWORD) or None, told=again)
+        doors = Doors(store.secret(), os.environ.get(PASSWORD) or None, told=again)
         hosts = ["localhost", "127.0.0.1", "[::1]"] if loopback(host) else ["*"]
         app = app_of(store, doors, hosts=hosts, pictures=drawings(store))
         quietly = uvicorn.Config(

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 
@@ -97,21 +97,31 @@ def _take(database: Database, run_id: str, owner: Owner, seconds: float) -> Leas
     with database.writing() as connection:
         # Locks the run's row in PostgreSQL; in SQLite the transaction has the file for itself anyway.
         connection.execute(sa.select(runs.c.id).where(runs.c.id == run_id).with_for_update())
-        now = _now(connection)
         held = connection.execute(sa.select(leases).where(leases.c.run_id == run_id)).one_or_none()
         if held is not None:
-            if held.expires_at > now and not _is_dead(Owner(held.host, held.pid), held.token):
+            if _is_live(connection, held):
                 raise InputError(
                     f"run {run_id} is being trained by process {held.pid} on {held.host}, which holds it "
                     f"until {held.expires_at:%Y-%m-%d %H:%M:%S} UTC; a run has one trainer at a time. "
                     "Wait until it is done, or stop that process and try again."
                 )
             connection.execute(sa.delete(leases).where(leases.c.run_id == run_id))
-        until = now + timedelta(seconds=seconds)
+        until = _now(connection) + timedelta(seconds=seconds)
         connection.execute(
             sa.insert(leases).values(run_id=run_id, host=owner.host, pid=owner.pid, token=token, expires_at=until)
         )
     return Lease(database, run_id, token, seconds)
+
+
+def is_held(connection: sa.Connection, run_id: str) -> bool:
+    """Whether a trainer holds the run that lives, as far as can be seen from here."""
+    held = connection.execute(sa.select(leases).where(leases.c.run_id == run_id)).one_or_none()
+    return held is not None and _is_live(connection, held)
+
+
+def _is_live(connection: sa.Connection, held: Any) -> bool:
+    """Whether a lease has time left, and its holder is not known to be dead."""
+    return held.expires_at > _now(connection) and not _is_dead(Owner(held.host, held.pid), held.token)
 
 
 def _now(connection: sa.Connection) -> datetime:

@@ -9,7 +9,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.engine import Dialect
 
-HEAD = "0005"
+HEAD = "0006"
 """Revision of the newest migration: what these tables are."""
 VERSION_TABLE = "hiprl_version"
 """Where a store keeps its revision. A database without it is not ours."""
@@ -186,4 +186,13 @@ finals = sa.Table(
     sa.Column("facts", Json, nullable=False),
     sa.Column("policy", sa.LargeBinary, nullable=False),
     _created_at(),
+)
+
+pages = sa.Table(
+    "pages",
+    metadata,
+    sa.Column("number", sa.Integer, primary_key=True, autoincrement=False),
+    sa.Column("secret", sa.Text, nullable=False),  # by which all pages on this store know who came in
+    _created_at(),
+    sa.CheckConstraint("number = 1", name="one"),
 )

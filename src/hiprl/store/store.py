@@ -15,7 +15,8 @@ import sqlalchemy as sa
 from hiprl.data.answer import Answer
 from hiprl.errors import InputError
 from hiprl.store.engine import Database, connect
-from hiprl.store.lease import Lease, Owner, hold
+from hiprl.store.finding import executed_before, newest_executed, page_secret, run_called, run_that_begins
+from hiprl.store.lease import Lease, Owner, hold, is_held
 from hiprl.store.migrate import bring_up_to_date
 from hiprl.store.once import (
     add_answer,
@@ -25,7 +26,6 @@ from hiprl.store.once import (
     add_question,
     add_trajectory,
     lock_run,
-    refuse_run,
     trajectory_columns,
 )
 from hiprl.store.rows import AnswerRow, ClipRow, Executed, Kind, QuestionRow, RunRow, TrajectoryRow
@@ -119,8 +119,7 @@ class Store:
             InputError: there is none.
         """
         with self._database.reading() as connection:
-            row = connection.execute(sa.select(runs).where(runs.c.id == run_id)).one_or_none()
-            return RunRow(**row._mapping) if row is not None else refuse_run(connection, run_id, self.name)
+            return run_called(connection, run_id, self.name)
 
     def find_run(self, prefix: str) -> RunRow:
         """The only run whose id is, or begins with, `prefix`; capitals do not count.
@@ -128,18 +127,8 @@ class Store:
         Raises:
             InputError: there is none, or there are several.
         """
-        prefix = prefix.lower()
         with self._database.reading() as connection:
-            rows = connection.execute(
-                sa.select(runs).where(runs.c.id.startswith(prefix, autoescape=True)).order_by(runs.c.id)
-            ).all()
-            rows = [row for row in rows if row.id == prefix] or rows
-            if not prefix or not rows:
-                refuse_run(connection, prefix, self.name)
-        if len(rows) > 1:
-            some = ", ".join(row.id for row in rows[:5]) + (", ..." if len(rows) > 5 else "")
-            raise InputError(f"{len(rows)} runs begin with {prefix!r} ({some}); one is needed. Write more of its id.")
-        return RunRow(**rows[0]._mapping)
+            return run_that_begins(connection, prefix.lower(), self.name)
 
     def runs(self) -> list[RunRow]:
         """All runs, oldest first."""
@@ -161,6 +150,11 @@ class Store:
         """
         self.run(run_id)
         return hold(self._database, run_id, owner=owner, seconds=seconds)
+
+    def trained(self, run_id: str) -> bool:
+        """Whether a trainer is at a run: it has the lease, and lives as far as can be seen from here."""
+        with self._database.reading() as connection:
+            return is_held(connection, run_id)
 
     # Trajectories
 
@@ -203,15 +197,22 @@ class Store:
             row = connection.execute(sa.select(trajectories.c.film, trajectories.c.imagined).where(mine)).one_or_none()
             return (None, False) if row is None else (row.film, row.imagined)
 
-    def newest(self, run_id: str, kind: Kind) -> tuple[int, int] | None:
-        """Number of the newest executed trajectory of this kind, and how many were executed before. None: none."""
-        executed, number = (trajectories.c.run_id == run_id) & ~trajectories.c.imagined, trajectories.c.number
+    def newest(self, run_id: str, kind: Kind) -> int | None:
+        """Number of the newest executed trajectory of this kind; None if there is none."""
         with self._database.reading() as connection:
-            found = connection.scalar(sa.select(sa.func.max(number)).where(executed & (trajectories.c.kind == kind)))
-            before = connection.scalar(sa.select(sa.func.count()).where(executed & (number < (found or 0))))
-            return None if found is None else (found, before or 0)
+            return newest_executed(connection, run_id, kind)
+
+    def executed_before(self, run_id: str, number: int) -> int:
+        """How many trajectories were executed before that of this number."""
+        with self._database.reading() as connection:
+            return executed_before(connection, run_id, number)
 
     # What a person is told
+
+    def secret(self) -> str:
+        """By what the pages on this store know browsers that came in: made when it is asked for first."""
+        with self._database.writing() as connection:
+            return page_secret(connection)
 
     def set_scene(self, run_id: str, scene: Mapping[str, Any]) -> None:
         """Keep what the films of a run play in; the first one stays."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import hmac
 import secrets
 import threading
@@ -13,7 +14,6 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-COOKIE = "hiprl"
 LARGEST = 16 * 1024  # bytes of a request: an answer has a few hundred
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
@@ -30,12 +30,19 @@ OPEN_PATHS = ("/enter", "/static/")  # for everybody
 
 
 class Doors:
-    """What opens the page. Sessions last as long as the process."""
+    """What opens the pages on a store. A browser that came in by one of them is known to all, and to later ones."""
 
-    def __init__(self, password: str | None = None, *, told: Callable[[str], None] = lambda token: None):
-        """`told` is called with each token that opens the page once: a used one is followed by another."""
-        self._password, self._told = password, told
-        self._session = secrets.token_urlsafe(32)
+    def __init__(self, secret: str, password: str | None = None, *, told: Callable[[str], None] = lambda token: None):
+        """What the pages share, and what opens this one.
+
+        Args:
+            secret: the store's.
+            password: that lets in everybody who knows it.
+            told: called with each token that opens the page once: a used one is followed by another.
+        """
+        self._session, self._password, self._told = secret, password, told
+        self.cookie = f"hiprl-{hashlib.sha256(secret.encode()).hexdigest()[:6]}"
+        """Its name: browsers share cookies among all ports of a machine, where pages on other stores may be."""
         self._lock = threading.Lock()
         self.token = secrets.token_urlsafe(24)
 
@@ -52,11 +59,11 @@ class Doors:
 
     def knows(self, request: Request) -> bool:
         """Whether this browser came in before."""
-        return hmac.compare_digest(request.cookies.get(COOKIE, "").encode(), self._session.encode())
+        return hmac.compare_digest(request.cookies.get(self.cookie, "").encode(), self._session.encode())
 
     def let_in(self, response: Response) -> Response:
         """The response with the cookie by which the browser is known."""
-        response.set_cookie(COOKIE, self._session, httponly=True, samesite="strict", path="/")
+        response.set_cookie(self.cookie, self._session, httponly=True, samesite="strict", path="/")
         return response
 
 

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qsl
+from urllib.parse import parse_qsl, quote
 
 import anyio
 from starlette.applications import Starlette
@@ -61,7 +61,7 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
             if not doors.knows(request):
                 if request.url.path.startswith("/api/"):
                     return JSONResponse({"error": "Enter first: open the address that the terminal shows."}, 401)
-                return RedirectResponse("/enter", 303)
+                return RedirectResponse(f"/enter?next={quote(there(request.url.path))}", 303)
             sent = [await body_of(request)] if request.method == "POST" else []
             result = await run_in_threadpool(handler, request, *sent)
             return result if isinstance(result, Response) else JSONResponse(result)

@@ -64,10 +64,10 @@ class Shown:
 
     def now(self, run_id: str) -> Plain:
         """The newest thing that its policy did."""
-        newest = self.store.newest(run_id, "policy")
-        if newest is None:
+        number = self.store.newest(run_id, "policy")
+        if number is None:
             return {"clip": None, "episode": None}
-        number, episode = newest
+        episode = self.store.executed_before(run_id, number)
         return {"clip": self.clip(run_id, ClipRow(number, 0, NOW)), "episode": episode}
 
     def progress(self, run_id: str) -> Plain:
