@@ -38,3 +38,28 @@ def test_it_plays_in_a_browser(tmp_path: Path):
         page.wait_for_selector("#player canvas", timeout=60_000)
         page.wait_for_timeout(500)
         assert "Hopper" in page.inner_text("#player") and not troubles
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is here (Debian: apt-get install chromium)")
+@pytest.mark.parametrize("apart", [0.05, 9.0])
+def test_what_hardly_moves_is_looked_at_from_near(tmp_path: Path, apart: float):
+    one, other = poses(0, 40), poses(0, 40)
+    one[:, 1, 2] += 0.01 * np.arange(41)  # it rises a little, and goes nowhere
+    other[:, 1:, 0] += apart
+    path = tmp_path / "play.html"
+    path.write_text(page_of(SCENE, [("", Film(poses=one)), ("", Film(poses=other))], "Hopper"), encoding="utf-8")
+    with chromium() as browser:
+        page = browser.new_page()
+        page.goto(path.as_uri())
+        view = page.evaluate(
+            """() => {
+              const told = JSON.parse(document.getElementById("told").textContent);
+              return window.hiprlPlayer(document.createElement("div"), told).stage.view;
+            }"""
+        )
+    (x, *_), (x_other, *_) = view["targets"][0][0], view["targets"][1][0]
+    assert not view["travels"] and view["box"][0] < 0.3  # a ball about the larger body has 0.25
+    if apart > 1:
+        assert (x, x_other) == pytest.approx((0, apart), abs=1e-4)  # each in the middle of its picture
+    else:
+        assert x == x_other == pytest.approx(apart / 2, abs=1e-4)  # both from the same place

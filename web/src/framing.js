@@ -1,6 +1,7 @@
 // Where the camera stands: found once for all the clips of a question, so that they are seen alike.
 
 const SMOOTH = 0.35; // seconds over which the followed point is averaged
+const APART = 1.5; // sizes of the body between two clips' starts, from which on each is looked at by itself
 
 /** Turns a vector by a quaternion (w, x, y, z) at `at` in `q`; the result goes into `out`. */
 function turn(q, at, [x, y, z], out) {
@@ -122,14 +123,19 @@ export function frame(scene, clips, meshes) {
   const paths = all.map((b) => [0, 1].map((i) => smooth(b.middle.map((m) => m[i]), width)));
   const travels = paths.some(([x, y]) => Math.hypot(spread(x), spread(y)) > 0.7 * size);
 
-  const lows = all.flatMap((b) => b.low), highs = all.flatMap((b) => b.high);
+  // what hardly moves, and far from each other, is looked at where it is: where they are near, where is part of it
+  const starts = all.map((b) => b.middle[0]);
+  const apart = (a) => starts.some((b) => Math.hypot(a[0] - b[0], a[1] - b[1]) > APART * size);
+  const shifts = starts.map((start) => (!travels && starts.some(apart) ? [start[0], start[1], 0] : [0, 0, 0]));
+  const shifted = (boxes, c) => boxes.map((v) => v.map((x, i) => x - shifts[c][i]));
+  const lows = all.flatMap((b, c) => shifted(b.low, c)), highs = all.flatMap((b, c) => shifted(b.high, c));
   const lowest = Math.min(...lows.map((v) => v[2]));
   const whole = [0, 1, 2].map((i) => [Math.min(...lows.map((v) => v[i])), Math.max(...highs.map((v) => v[i]))]);
   const bottom = quantile(lows.map((v) => v[2]), 0.01), top = quantile(highs.map((v) => v[2]), 0.99);
   const height = (bottom + top) / 2;
-  const targets = paths.map(([x, y]) => travels
+  const targets = paths.map(([x, y], c) => travels
     ? x.map((v, f) => [v, y[f], height])
-    : x.map(() => whole.map(([a, b]) => (a + b) / 2)));
+    : x.map(() => whole.map(([a, b], i) => (a + b) / 2 + shifts[c][i])));
   const box = [0, 1].map((i) => travels
     ? quantile(all.flatMap((b, c) => b.high.map((hi, f) =>
       Math.max(hi[i] - targets[c][f][i], targets[c][f][i] - b.low[f][i]))), 0.97)
@@ -147,7 +153,7 @@ export function frame(scene, clips, meshes) {
   const yaw = planar ? -90 : flat ? -90 : across ? 20 : -65; // degrees; the camera stands there, seen from the target
   const pitch = planar ? 12 : flat ? 62 : 20;
   return {
-    targets, origins: all.map((b) => b.middle[0]), box, round, size, lowest, travels, flat, yaw, pitch,
+    targets, origins: starts, box, round, size, lowest, travels, flat, yaw, pitch,
   };
 }
 
