@@ -28,6 +28,7 @@ def looked_at(browser: Any, address: str, home: str, run_id: str) -> dict[str, f
     pairs: list[int] = []
     page.on("response", lambda r: pairs.append(int(r.headers["content-length"])) if "/next?" in r.url else None)
     page.goto(address)
+    page.evaluate("localStorage.setItem('hiprl.judge', 'me')")
     page.goto("about:blank")
     page.goto(f"{home}/runs/{run_id}/teach")
     page.wait_for_selector("#teach[data-mode=asking] canvas", timeout=120_000)

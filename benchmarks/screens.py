@@ -28,6 +28,7 @@ def main() -> None:
         context = browser.new_context()
         tab = context.new_page()
         tab.goto(page.address)
+        tab.evaluate("localStorage.setItem('hiprl.judge', 'me')")
         for name, path in PAGES.items():
             for suffix, (width, height) in SIZES.items():
                 if suffix and name != "teach":

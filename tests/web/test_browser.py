@@ -205,6 +205,82 @@ def test_the_first_visit_asks_what_is_wanted(made: str, store: Store, browser: A
         assert not served.troubles
 
 
+def test_each_judge_says_a_name_though_the_goal_is_set(served: Served):
+    page = served.tab("/teach", judge=None)
+    page.wait_for_selector("#setup[open]")
+    assert page.input_value("#setup-goal") == "go along" and page.input_value("#setup-judge") == ""
+    page.keyboard.type("bo")  # the name is what is missing
+    page.keyboard.press("Enter")
+    served.press(page, "1")
+    page.reload()
+    served.press(page, "1")
+    assert not page.locator("#setup[open]").count()
+    other = served.tab("/teach", judge=None)
+    other.wait_for_selector("#setup[open]")
+    other.keyboard.press("Escape")
+    served.press(other, "1")
+    assert [row.judge for row in served.store.answers(served.run_id)] == ["bo", "bo", "me"]
+    assert served.store.goal(served.run_id) == "go along"
+
+
+AGAIN = """where => new MutationObserver((_, observer) => {
+  observer.disconnect();
+  const element = document.querySelector(where);
+  Element.prototype.setPointerCapture = () => {};  // of a pointer that is made up
+  for (const type of ["pointerdown", "pointerup"]) element.dispatchEvent(new PointerEvent(type, { pointerId: 1 }));
+  element.dispatchEvent(new MouseEvent("click", { bubbles: true, detail: 2 }));
+}).observe(document.getElementById("teach"), { attributeFilter: ["data-question"] })"""
+"""Clicks again as soon as another question is there."""
+
+
+def test_a_double_click_answers_once(served: Served):
+    page = served.tab("/teach")
+    for done, where in enumerate(("#stage canvas", "#strip [data-step='2']", "#unsure")):
+        k = served.shown(page)
+        page.evaluate(AGAIN, where)
+        page.click(where)
+        page.wait_for_function("k => document.getElementById('teach').dataset.question != k", arg=str(k))
+        page.wait_for_timeout(600)
+        assert len(served.store.answers(served.run_id)) == done + 1, where
+
+
+def test_keys_are_the_pages_again_after_the_mouse(served: Served):
+    page = served.tab("/teach")
+    k = served.shown(page)
+    playing = lambda: page.get_attribute(".hp-play", "aria-label") == "Pause"
+    for where in (".hp-step", ".hp-play", "#help-open"):
+        page.click(where)
+        if where == "#help-open":
+            page.keyboard.press("Escape")
+        was = playing()
+        page.keyboard.press(" ")
+        assert playing() != was and not page.locator("dialog[open]").count(), where
+    page.click(".hp-scrub")
+    page.wait_for_function("() => document.activeElement === document.body")
+    assert not playing() and served.press(page, "ArrowLeft") == k
+    assert as_shown(served.store, served.run_id, k) == choice(True)
+    served.shown(page)
+    assert playing()  # the next pair is not held
+    page.keyboard.press(" ")
+    page.focus(".hp-scrub")
+    page.keyboard.press("ArrowRight")  # who comes by keys stays there
+    assert page.evaluate("document.activeElement.className") == "hp-scrub"
+
+
+def test_nothing_moves_where_nobody_wants_it(served: Served):
+    page = served.tab("/review")
+    page.emulate_media(reduced_motion="reduce")
+    page.goto(f"{served.home}/runs/{served.run_id}/teach")
+    for label in ("Play", "Pause", "Pause"):
+        served.shown(page)
+        assert page.get_attribute(".hp-play", "aria-label") == label
+        if label == "Play":
+            served.press(page, "1")
+            assert page.get_attribute(".hp-play", "aria-label") == label
+            page.keyboard.press(" ")  # who has pressed play wants it
+        served.press(page, "1")
+
+
 def test_an_answer_is_changed_in_review(served: Served):
     page = served.tab("/teach")
     k = served.press(page, "1")

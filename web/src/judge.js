@@ -1,9 +1,11 @@
 // The name under which answers are given, kept in this browser.
 
 const KEY = "hiprl.judge";
-let name = "me";
+let name = "me", known = false;
 try {
-  name = localStorage.getItem(KEY) || "me";
+  const kept = localStorage.getItem(KEY);
+  known = Boolean(kept);
+  name = kept || "me";
 } catch {
   // storage may be switched off: the name then lasts as long as the page
 }
@@ -12,7 +14,13 @@ export function judge() {
   return name;
 }
 
+/** Whether somebody said a name here. */
+export function named() {
+  return known;
+}
+
 export function call(it) {
+  known = true;
   name = it.trim().slice(0, 60) || "me";
   try {
     localStorage.setItem(KEY, name);

@@ -45,7 +45,7 @@ class Player {
     this.chosen = null; // the speed somebody asked for
     this.speed = 1;
     this.time = 0;
-    this.playing = !still.matches;
+    this.playing = this.moves = !still.matches;
     this.seen = true;
     if (bar) this.#bar();
     element.replaceChildren(this.root);
@@ -158,6 +158,9 @@ class Player {
 
   #bar() {
     const bar = make("div", "hp-bar");
+    bar.addEventListener("click", (event) => {
+      if (event.detail) event.target.closest("button")?.blur(); // keys are the page's again
+    });
     this.button = button("hp-play", "Pause");
     this.button.addEventListener("click", () => this.toggle());
     this.scrub = make("input", "hp-scrub");
@@ -169,6 +172,16 @@ class Player {
       this.pause();
       this.seek(Number(this.scrub.value));
     });
+    let held = false;
+    const release = () => {
+      if (held) this.scrub.blur();
+      held = false;
+    };
+    this.scrub.addEventListener("pointerdown", () => {
+      held = true;
+      addEventListener("pointerup", () => setTimeout(release), { once: true });
+    });
+    this.scrub.addEventListener("change", release);
     this.clock = make("span", "hp-clock");
     const pace = make("div", "hp-pace");
     this.less = button("hp-step", "Slower", "−");
@@ -199,8 +212,13 @@ class Player {
     else this.play();
   }
 
+  /** Plays on, unless nothing is to move here and nobody has pressed play. */
+  goOn() {
+    if (this.moves && !this.playing) this.play();
+  }
+
   play() {
-    this.playing = true;
+    this.playing = this.moves = true;
     this.#run();
     this.#say();
   }

@@ -44,6 +44,7 @@ export async function review(run) {
       const { clips } = question;
       player ??= await film(find("stage"), { scene, onPick: () => player.toggle() });
       player.load({ clips, titles: clips.length === 1 ? [] : names(clips.length) });
+      player.goOn();
       paint();
       for (const button of find("list").querySelectorAll(".past")) button.removeAttribute("aria-current");
       find("list").children[all.findIndex((a) => same(a, past))]?.firstChild.setAttribute("aria-current", "true");

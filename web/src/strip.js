@@ -21,7 +21,7 @@ function stepOf(answer, count) {
 }
 
 export class Strip {
-  /** onAnswer(answer) when one is given; onHover(-1 | 0 | 1) when a side is pointed at. */
+  /** onAnswer(answer, event) when one is given; onHover(-1 | 0 | 1) when a side is pointed at. */
   constructor(root, { onAnswer, onHover = () => {} }) {
     this.root = root;
     this.onAnswer = onAnswer;
@@ -47,7 +47,7 @@ export class Strip {
       "button.step", {
         type: "button", "aria-label": label, "aria-pressed": mark === null ? null : mark === i + 1,
         "data-step": i + 1, "data-side": count === 2 ? Math.sign(2 - i) : 0, "aria-keyshortcuts": i + 1,
-        onclick: () => this.onAnswer(level(i + 1, count)),
+        onclick: (event) => this.onAnswer(level(i + 1, count), event),
         onpointerenter: () => this.onHover(count === 2 ? Math.sign(2 - i) : 0),
         onpointerleave: () => this.onHover(0),
       },
@@ -75,7 +75,7 @@ export class Strip {
         type: "button", "aria-pressed": this.order.includes(i), onclick: () => this.rank(i),
       }, this.order.includes(i) ? `${this.order.indexOf(i) + 1}. ${name}` : name))),
       make("button.main", {
-        type: "button", disabled: !full, onclick: () => this.onAnswer({ form: "ranking", value: this.order }),
+        type: "button", disabled: !full, onclick: (event) => this.onAnswer({ form: "ranking", value: this.order }, event),
       }, "That is the order")));
   }
 

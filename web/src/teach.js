@@ -3,12 +3,13 @@
 import { api, Refused } from "./api.js";
 import { announce, find, write } from "./dom.js";
 import { early, film } from "./film.js";
-import { call, judge } from "./judge.js";
+import { call, judge, named } from "./judge.js";
 import { level, Strip } from "./strip.js";
 import { foreseen, helping, meanwhile, names, said, whenStacked } from "./words.js";
 
 const POLL = 1000; // milliseconds between looks for a question
 const LINGER = 600; // the old pair stays so long before the page says that it waits
+const SECOND = 400; // a second click that comes so soon after an answer was meant for the pair before
 const SETTLE = 800; // a pair that came by itself takes no answer for so long: it was meant for the one before
 
 export async function teach(run) {
@@ -25,11 +26,14 @@ class Teaching {
     this.second = false; // one that it would give otherwise, shown while there is nothing new
     this.looked = new Set(); // numbers of those that were shown so
     this.settled = 0; // when answers count again
+    this.clickable = 0; // when clicks do
     this.busy = false;
     this.answered = null; // number of the question answered last
     this.asking = 0; // counts looks for a question: only the newest counts
     this.goal = document.body.dataset.goal || "";
-    this.strip = new Strip(find("strip"), { onAnswer: (a) => this.answer(a), onHover: (side) => this.hint(side) });
+    this.strip = new Strip(find("strip"), {
+      onAnswer: (a, event) => this.#meant(event) && this.answer(a), onHover: (side) => this.hint(side),
+    });
     this.nowEpisode = null;
   }
 
@@ -40,7 +44,7 @@ class Teaching {
       this.scene = await this.api.scene();
       this.player = await film(find("stage"), {
         scene: this.scene,
-        onPick: (i) => this.pick(i),
+        onPick: (i, event) => this.#meant(event) && this.pick(i),
         onChange: (player) => this.#follow(player),
       });
     } catch (error) {
@@ -53,7 +57,7 @@ class Teaching {
       if (this.#wake) this.#wake();
       else if (find("teach").dataset.mode === "finished" && progress.state !== "finished") this.next();
     });
-    if (!this.goal) this.setup(true);
+    if (!this.goal || !named()) this.setup(true);
     await this.next();
   }
 
@@ -83,6 +87,7 @@ class Teaching {
         if (this.second) this.settled = performance.now() + SETTLE;
         this.again = this.second = false;
         find("again").hidden = true;
+        if (this.answered !== null) this.clickable = performance.now() + SECOND;
         this.show(question);
         if (announceIt) {
           const { answers, planned } = got.progress;
@@ -151,6 +156,7 @@ class Teaching {
     this.busy = this.strip.busy = false;
     this.#dim(false);
     this.player.load({ clips: this.clips(), titles: this.titles() });
+    this.player.goOn();
     this.strip.show(question.clips.length, this.shown(question.answer));
     const pair = question.clips.length === 2;
     find("swap").hidden = !pair;
@@ -197,6 +203,12 @@ class Teaching {
     this.question = null;
     this.told(`You said: ${words}`, true);
     await this.next();
+  }
+
+  /** Whether an answer by this event is one to the pair that is shown; keys do not come twice. */
+  #meant(event) {
+    const clicked = event?.detail > 0 || event?.type === "pointerup";
+    return !clicked || performance.now() >= this.clickable;
   }
 
   pick(index) {
@@ -275,6 +287,7 @@ class Teaching {
     if (fresh) {
       announce(`${title} ${text}`);
       this.nowShown = null;
+      this.player.goOn();
     }
     await this.#now();
   }
@@ -409,10 +422,11 @@ class Teaching {
   setup(first = false) {
     const dialog = find("setup");
     find("setup-goal").value = this.goal;
-    find("setup-judge").value = judge();
+    find("setup-judge").value = named() ? judge() : "";
     find("setup-trouble").hidden = true;
     find("setup-close").hidden = first;
     if (!dialog.open) dialog.showModal();
+    if (this.goal && !named()) find("setup-judge").focus();
   }
 
   async #save(event) {
@@ -445,13 +459,13 @@ class Teaching {
 
   #wire() {
     const on = (id, each) => find(id)?.addEventListener("click", (event) => {
+      if (event.detail) event.currentTarget?.blur?.(); // so that the space bar pauses afterwards, a dialog's too
       each(event);
-      if (event.detail) event.currentTarget?.blur?.(); // so that the space bar pauses afterwards
     });
     find("strip").addEventListener("click", (event) => {
       if (event.detail) document.activeElement?.blur?.();
     });
-    on("unsure", () => this.answer({ form: "unsure" }));
+    on("unsure", (event) => this.#meant(event) && this.answer({ form: "unsure" }));
     on("undo", () => this.undo());
     on("undo-told", () => this.undo());
     on("swap", () => this.swap());
