@@ -62,7 +62,8 @@ def accuracies(path: Path, pick: str, judge: str, after: list[int], *, seed: int
         pick_key, ask_key = jr.split(jr.fold_in(key, k))
         clips = pick_clips(there, reward, config, key=pick_key)
         shown = [Clip(clips.of[i], clips.start[i], clips.length[i]) for i in (0, 1)]
-        answer = checked(judging, tuple(there.clip(clip) for clip in shown), there, key=ask_key)
+        steps = min(int(clips.length[0]), T.rows.actions.shape[1])
+        answer = checked(judging, tuple(there.clip(clip) for clip in shown), there, steps=steps, key=ask_key)
         P = P.answered(answer, shown, at_hand=there.count)
         if k in after:
             found.append(in_order(estimate_reward(P, there, reward, AdditiveConfig())))

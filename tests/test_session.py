@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from hiprl.config import CUSTOM, asking, paper
 from hiprl.control.imagined import SearchReport
+from hiprl.data.answer import choice
 from hiprl.errors import FitDiverged, InputError, JudgeError, WorldError
 from hiprl.feedback.judges import exact, judge_from
 from hiprl.feedback.judging import Judging
@@ -106,7 +108,7 @@ def test_before_its_first_episode_a_run_has_no_policy(store):
 def test_a_run_that_is_not_finished_has_the_best_policy_so_far(store):
     world, asked = world_from("linear"), []
 
-    def four_times(clips, hand, *, key):
+    def four_times(clips, hand, *, steps, key):
         asked.append(1)
         return None if len(asked) > 4 else exact.answer(clips, hand, key=key)
 
@@ -217,3 +219,13 @@ def test_the_papers_reward_network_is_not_begun_with_a_judge_it_cannot_learn_fro
         start(store, world_from("linear"), RunSpec(seed=0, config=config, judge="choice"))
     assert not store.runs()
     start(store, world_from("linear"), RunSpec(seed=0, config=paper("HalfCheetah-v5"), judge="exact"))
+
+
+def test_what_the_papers_network_cannot_learn_from_is_not_taken(store):
+    world = world_from("linear")
+    config = replace(TINY, reward=paper("linear").reward)
+    run_id = start(store, world, RunSpec(seed=3, config=config, judge=CUSTOM, eval_episodes=2))
+    with pytest.raises(JudgeError, match=r"form 'choice'; .* from numbers alone") as caught:
+        carry_on(store, run_id, world, judge_from(lambda tau, other: choice(True)))
+    assert "resume" in str(caught.value) and not store.answers(run_id) and store.questions(run_id, unanswered=True)
+    assert carry_on(store, run_id, world, exact)["comparisons"] == config.comparisons

@@ -209,7 +209,7 @@ def one_episode(
 
     def ask(question: Question, run: Run, *, key: Key) -> Answer:
         times.append(time.perf_counter())
-        answer = asked(store, run_id, k, run, question, judging, key=key)
+        answer = asked(store, run_id, k, run, question, judging, config, key=key)
         times.append(time.perf_counter())
         return answer
 
@@ -234,15 +234,28 @@ def rows_of(new: Attempt, number: int) -> list[TrajectoryRow]:
     return [TrajectoryRow.of(tau, number=i, kind=kind) for i, tau in enumerate(taus, start=number)]
 
 
-def asked(store: Store, run_id: str, k: int, run: Run, question: Question, judging: Judging, *, key: Key) -> Answer:
-    """The answer to episode k's question, which is written down first: from the store if it is there, or the judge."""
+def asked(
+    store: Store, run_id: str, k: int, run: Run, question: Question, judging: Judging, config: Config, *, key: Key
+) -> Answer:
+    """The answer to episode k's question, which is written down first: from the store if it is there, or the judge.
+
+    Raises:
+        JudgeError: the judge gave none, or one that the run's reward cannot learn from. The question stays open.
+    """
     T = question.attempt.added(run.T)
     clips = [clip_row(clip) for clip in question.shown]
     store.open_question(run_id, k, rows_of(question.attempt, int(run.T.count)), clips)
     answer = store.answer_of(run_id, k)
     if answer is None:
         try:
-            answer = checked(judging, tuple(T.clip(clip) for clip in question.shown), T, key=key)
+            steps = min(int(jnp.max(question.clips.length)), T.rows.actions.shape[1])
+            shown = tuple(T.clip(clip) for clip in question.shown)
+            answer = checked(judging, shown, T, steps=steps, key=key)
+            if isinstance(config.reward, NetworkConfig) and answer.form != "number":
+                raise JudgeError(
+                    f"the judge gave an answer of the form {answer.form!r}; the paper's reward network learns from "
+                    "numbers alone. Give one number and resume the run: the question is still open."
+                )
         except JudgeError as e:
             raise JudgeError(f"{e} The run is {run_id}.") from e
         store.answer(run_id, k, answer, "rule")

@@ -36,7 +36,7 @@ def test_answers_go_out_and_come_back_changed(where, tmp_path: Path, capsys: pyt
     assert main(["import", str(file), "--store", store, "--json"]) == 0
     printed = capsys.readouterr()
     assert json.loads(printed.out) == {"run": run, "added": 1, "known": 3, "open": 0, "store": store}
-    assert "1 answers are new" in printed.err and f"hiprl relearn {run}" in printed.err
+    assert "1 answer is new" in printed.err and f"hiprl relearn {run}" in printed.err
     with open_store(store) as opened:
         assert opened.answer_of(run, 3) == choice(True)
 
@@ -68,3 +68,15 @@ def test_a_file_that_cannot_be_read(where, tmp_path: Path) -> None:
     (tmp_path / "some.jsonl").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="it is not text"):
         bring(Import(file=str(tmp_path / "some.jsonl"), store=where[0]))
+
+
+def test_a_file_of_another_program_is_read(where, tmp_path: Path) -> None:
+    store, run = where
+    head = {"schema": "hiprl-answers", "version": 1, "run": run}
+    line = {"k": 3, "answer": {"form": "choice", "value": 1}, "judge": "a\xa0b"}
+    file = tmp_path / "answers.jsonl"
+    file.write_text("\ufeff" + json.dumps(head) + "\r\n" + json.dumps(line, ensure_ascii=False) + "\r\n", "utf-8")
+    with pytest.raises(InputError, match="got the judge"):
+        bring(Import(file=str(file), store=store))  # a no-break space is nothing to be seen
+    file.write_text(file.read_text("utf-8").replace("\xa0", " "), "utf-8")
+    assert bring(Import(file=str(file), store=store))["added"] == 1

@@ -8,7 +8,7 @@ import pytest
 
 from hiprl.cli.commands import Compare
 from hiprl.cli.main import main
-from hiprl.cli.showing import compare
+from hiprl.cli.showing import compare, words_of
 from hiprl.config import Config
 from hiprl.report.figures import PICTURES
 from hiprl.store.store import open_store
@@ -110,3 +110,11 @@ def test_pictures_that_cannot_be_written_are_a_failure(
     (tmp_path / "file").touch()
     assert main(["compare", "--all", "--store", where, "--out", str(tmp_path / "file")]) == 1
     assert "cannot write the pictures" in capsys.readouterr().err
+
+
+def test_how_likely_kept_answers_were_is_told_also_below_nought() -> None:
+    facts = {"held_out_accuracy": 0.9, "held_out_log_likelihood": -0.5, "coverage_90": None, "consistency": None}
+    said = words_of(facts | {"weights": {"x": 1.0}})
+    assert said["kept answers, log likelihood"] == "-0.5 nats an answer"
+    assert "same question, same side" not in said
+    assert "kept answers, log likelihood" not in words_of(facts | {"held_out_log_likelihood": None, "weights": {}})

@@ -8,7 +8,8 @@ import pytest
 
 from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, level, number, ranking, rating, slider
 from hiprl.data.preference import Clip, Preferences
-from hiprl.models.answers import SCALES, estimate_from_answers, top_of
+from hiprl.models.answers import MISTAKE, SCALES, estimate_from_answers, top_of
+from hiprl.models.estimate import estimate_reward
 from hiprl.models.features import Kernel
 from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
 from tests.models.worlds import linear_set, steps_of
@@ -203,3 +204,17 @@ def test_nine_of_ten_gaps_lie_in_their_intervals(T, estimated):
         scale = (true @ mean) / (true @ true)  # choices do not tell the unit
         inside += list(np.abs(scale * true - mean) <= 1.645 * sigma)
     assert np.mean(inside) > 0.75
+
+
+@pytest.mark.slow
+def test_a_judge_who_contradicts_himself_is_found_to_err(T):
+    once = answered(T, ["choice"], n=25, m=2)
+    shown = once.shown()
+    clear = sorted(range(25), key=lambda k: -abs(paid(T, *shown[k][0][:2]) - paid(T, *shown[k][1][:2])))[:12]
+    again = once
+    for i, k in enumerate(clear):
+        said = bool(once.said.low[k] >= 0) != (i % 2 == 0)
+        again = again.answered(choice(said), [Clip.at(*clip) for clip in shown[k]], at_hand=jnp.asarray(12, jnp.int32))
+    config = AdditiveConfig(smooth=(0.01,), lengths=(4.0,))
+    fixed, found = (float(estimate_reward(P, T, None, config).errors.mistakes[0]) for P in (once, again))
+    assert fixed == pytest.approx(MISTAKE) and found > 2 * MISTAKE

@@ -8,8 +8,8 @@ import pytest
 from hiprl.cli.commands import Relearn
 from hiprl.cli.relearning import relearn
 from hiprl.config import Config
-from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, number
-from hiprl.data.preference import Kind
+from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, level, number, ranking, rating
+from hiprl.data.preference import Clip, Kind, Preferences
 from hiprl.errors import InputError
 from hiprl.models.estimate import estimate_reward
 from hiprl.models.quality import cross_validated, shapes
@@ -126,6 +126,18 @@ def test_numbers_can_count_as_choices(evidence):
     np.testing.assert_array_equal(as_said(Q, "choices").said.low[:n], Q.said.low[:n])
 
 
+def test_ratings_count_as_good_or_bad_and_rankings_stay():
+    P = Preferences.empty(3, m=3)
+    hand = jnp.asarray(4, jnp.int32)
+    for said, n in ((rating(-2, 5), 1), (rating(1, 5), 1), (ranking([2, 0, 1]), 3)):
+        P = P.answered(said, [Clip.at(i, 0, 2) for i in range(n)], at_hand=hand)
+    Q = as_said(P, "choices")
+    np.testing.assert_array_equal(Q.said.kind, P.said.kind)
+    np.testing.assert_array_equal(Q.said.low[:2], [-np.inf, 0])
+    np.testing.assert_array_equal(Q.said.high[:2], [0, np.inf])
+    np.testing.assert_array_equal(Q.said.low[2], P.said.low[2])
+
+
 def test_the_view_of_a_reward_shows_what_it_goes_by(evidence):
     again, P = evidence
     found = shapes(estimate_reward(P, again, None, LINEAR), again)
@@ -145,6 +157,32 @@ def test_a_judge_who_contradicts_himself_is_told(evidence):
     )
     assert consistency(said(True, False)) == 1 and consistency(said(True, True)) == 0
     assert agreement(said(True, True)) is None  # one judge alone
+
+
+ABC = [Clip.at(i, 0, 2) for i in range(3)]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "clips", "same"),
+    [
+        (ranking([0, 1, 2]), ranking([0, 1, 2]), ABC, 1),
+        (ranking([0, 1, 2]), ranking([2, 1, 0]), ABC, 0),
+        (ranking([0, 1, 2]), ranking([0, 2, 1]), ABC, 2 / 3),
+        (ranking([0, 1]), ranking([1, 0]), ABC[:2], 0),
+        (ranking([1, 0]), choice(False), ABC[:2], 1),
+        (choice(True), level(2, 5), ABC[:2], 1),
+        (choice(True), EQUALLY_GOOD, ABC[:2], 0),
+        (choice(True), CANNOT_TELL, ABC[:2], None),
+        (rating(2, 5), rating(1, 5), ABC[:1], 1),
+        (rating(2, 5), rating(-1, 5), ABC[:1], 0),
+    ],
+)
+def test_the_same_is_asked_twice(first, second, clips, same):
+    """In a P with room for more clips than a question shows."""
+    P = Preferences.empty(3, m=4)
+    hand = jnp.asarray(3, jnp.int32)
+    P = P.answered(first, clips, at_hand=hand).answered(second, clips, at_hand=hand)
+    assert consistency(P) == (None if same is None else pytest.approx(same)) and agreement(P) is None
 
 
 def test_two_judges_are_held_against_each_other(T, tmp_path):

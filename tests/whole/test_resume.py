@@ -21,7 +21,7 @@ class Recording:
     def judging(self):
         return Judging(answer=self.answer)
 
-    def answer(self, clips, hand, *, key):
+    def answer(self, clips, hand, *, steps, key):
         self.asked += 1
         return None if self.asked == self.fail_at else exact.answer(clips, hand, key=key)
 

@@ -45,14 +45,15 @@ def bring(command: Import) -> Facts:
     """Takes the answers of a file into their run; gives how many were new."""
     path = Path(command.file).expanduser()
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").split("\n")  # names may hold other ends of lines
     except (OSError, UnicodeDecodeError) as e:
         why = e.strerror if isinstance(e, OSError) else "it is not text"
         raise InputError(f"cannot read {path}: {why}. Name a file that `hiprl export` wrote.") from e
     with open_store(command.store, create=False) as store:
         found = imported(store, lines)
+    is_new = "1 answer is" if found.added == 1 else f"{found.added} answers are"
     say(
-        f"{found.added} answers are new to {found.run}, {found.known} were there already, {found.open} questions are "
+        f"{is_new} new to {found.run}, {found.known} were there already, {found.open} questions are "
         f"open. What a reward makes of them: hiprl relearn {found.run}"
     )
     return {**found._asdict(), "store": command.store}

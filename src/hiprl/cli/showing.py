@@ -182,16 +182,17 @@ def table_of_numbers(run: Record, facts: Facts) -> Table:
 
 def words_of(facts: Facts) -> dict[str, str]:
     """How good a learned reward is, in words."""
+    likely = facts["held_out_log_likelihood"]
     said = {
         "kept answers, right side": percent(facts["held_out_accuracy"]),
-        "kept answers, log likelihood": f"{known(facts['held_out_log_likelihood'])} nats an answer",
+        "kept answers, log likelihood": "-" if likely is None else f"{likely:.4g} nats an answer",
         "kept numbers in their 90 % interval": percent(facts["coverage_90"]),
         "same question, same side": percent(facts["consistency"]),
         "same question, another judge": percent(facts.get("agreement")),
         "judges": ", ".join(map(judge_in_words, facts.get("judges", []))) or "-",
     }
     goes_by = ", ".join(f"{name} {percent(share)}" for name, share in facts["weights"].items())
-    return {name: words for name, words in said.items() if not words.startswith("-")} | {"r̂ goes by": goes_by}
+    return {name: words for name, words in said.items() if words != "-"} | {"r̂ goes by": goes_by}
 
 
 def judge_in_words(one: Facts) -> str:

@@ -18,6 +18,8 @@ EQUAL = 0.25
 """Half the width of "equal", where a whole scale is 1: as wide as the middle one of five levels."""
 MOST_LEVELS = 1001
 """More than anybody tells apart; for more there is the slider."""
+LARGEST = 1e15
+"""Of a number, either way: its square must be one too, in single precision."""
 SLIDER = 0.1
 """Half the width of a slider's answer: nobody sets it more exactly than to a tenth of either side."""
 
@@ -60,7 +62,7 @@ class Answer:
             return False
         match self.form:
             case "number":
-                return _is_number(x)
+                return _is_number(x) and abs(x) <= LARGEST
             case "choice":
                 return _is_number(x) and x in (-1, 1)
             case "slider":
@@ -118,14 +120,14 @@ class Answer:
         strange = sorted(set(plain) - {"form", "value", "levels"})
         if strange or not isinstance(plain.get("form"), str):
             raise InputError(
-                f"got an answer with the entries {', '.join(map(str, plain)) or 'none'}; it needs form, and value and "
+                f"got an answer with the entries {', '.join(map(repr, plain)) or 'none'}; it needs form, and value and "
                 "levels as the form says. Look at what `hiprl export` writes."
             )
         return cls(form=plain["form"], value=plain.get("value"), levels=plain.get("levels"))
 
 
 _NEEDED = {
-    "number": "a finite number is needed",
+    "number": f"a number from -{LARGEST:g} to {LARGEST:g} is needed",
     "choice": "1 for the first clip or -1 for the second is needed",
     "slider": "a number from -1 to 1 is needed",
     "level": "a level from -(levels - 1)/2 to (levels - 1)/2 in steps of 1 is needed, of 2 to 1001 levels",

@@ -161,6 +161,16 @@ class Preferences(eqx.Module):
         """Trajectory of the second clip."""
         return self.clips.of[:, 1]
 
+    def asked(self) -> list[frozenset[tuple[int, int, int]]]:
+        """What each answer is about: trajectory, first step and most steps of its clips. Not to be traced."""
+        return [frozenset(clips) for clips in self.shown()]
+
+    def shown(self) -> list[list[tuple[int, int, int]]]:
+        """The clips of each answer in their order. Not to be traced."""
+        n, items = int(self.count), np.asarray(self.said.items)
+        each = np.stack([np.asarray(x)[:n] for x in (self.clips.of, self.clips.start, self.clips.length)], axis=-1)
+        return [[tuple(clip) for clip in clips[: items[k]].tolist()] for k, clips in enumerate(each)]
+
     def only_numbers(self) -> bool:
         """Whether every answer is a number. Looks at the values, so not to be traced."""
         return not bool(jnp.any(self.filled & (self.said.kind != Kind.NUMBER)))

@@ -19,6 +19,7 @@ import numpy as np
 from hiprl.data.answer import (
     CANNOT_TELL,
     EQUALLY_GOOD,
+    MOST_LEVELS,
     Answer,
     choice,
     level,
@@ -41,7 +42,7 @@ def judge_from(judge: Any) -> Judging:
         InputError: no judge of that name, or settings that it does not have.
     """
     if callable(judge):
-        return Judging(answer=lambda clips, hand, *, key: judge(*(clip.seen() for clip in clips)))
+        return Judging(answer=lambda clips, hand, **_: judge(*(clip.seen() for clip in clips)))
     name, _, settings = judge.partition(":") if isinstance(judge, str) else ("", "", "")
     if name not in SCRIPTED:
         raise InputError(
@@ -100,13 +101,14 @@ class Perceived(NamedTuple):
         return float(first - second)
 
 
-def perceived(clips: tuple[Trajectory, ...], hand: Trajectories) -> Perceived | None:
-    """The clips shown against those at hand that last as long as the longest of them; None where nothing was paid.
+def perceived(clips: tuple[Trajectory, ...], hand: Trajectories, steps: int | None = None) -> Perceived | None:
+    """The clips shown against those at hand of so many steps, or as many as the longest; None where nothing was paid.
 
-    Where all at hand are the same, the unit is that of the return.
+    An episode that ends early is a short clip among long ones. Where all at hand are the same, the unit is that of the
+    return.
     """
     rewards = [np.asarray(clip.rewards, np.float64)[: int(clip.length)] for clip in clips]
-    steps = max(len(r) for r in rewards)
+    steps = steps or max(len(r) for r in rewards)
     returns, unit = returns_at_hand(hand, steps), spread(hand, steps) or 1.0
     if not (math.isfinite(unit) and all(np.isfinite(r).all() for r in rewards)):
         return None
@@ -121,8 +123,10 @@ Rule: TypeAlias = Callable[[Perceived, Key], Answer]
 def _by_rule(rule: Rule) -> Callable[..., Any]:
     """The answer of a judge that goes by what is perceived; NaN, which is none, where nothing was paid."""
 
-    def answer(clips: tuple[Trajectory, ...], hand: Trajectories, *, key: Key) -> Answer | float:
-        seen = perceived(clips, hand)
+    def answer(
+        clips: tuple[Trajectory, ...], hand: Trajectories, *, steps: int | None = None, key: Key
+    ) -> Answer | float:
+        seen = perceived(clips, hand, steps)
         return math.nan if seen is None else rule(seen, key)
 
     return answer
@@ -135,7 +139,8 @@ def noisy(std: float) -> Judging:
         std: standard deviation of the error, in the unit of the return.
     """
 
-    def answer(clips: tuple[Trajectory, ...], hand: Trajectories, *, key: Key) -> float:
+    def answer(clips: tuple[Trajectory, ...], hand: Trajectories, *, steps: int | None = None, key: Key) -> float:
+        del hand, steps
         tau, other = clips
         return float(gap(tau, other)) + (std * float(jr.normal(key)) if std else 0.0)
 
@@ -183,7 +188,7 @@ def by_level(*, levels: int = 5, mistake: float = 0.0, noise: float = 0.0) -> Ju
     """Says by how much the first of two clips is better, in levels; one spread is the top one.
 
     Args:
-        levels: how many, 2 or more.
+        levels: how many, 2 to 1001.
         mistake: probability of saying the same of the clips the other way round.
         noise: standard deviation of a Gaussian error of the difference, in spreads.
     """
@@ -234,7 +239,7 @@ def by_rating(*, levels: int = 5, noise: float = 0.0) -> Judging:
     """Says how good one clip is against the mean of those at hand, in levels; one spread above is the top one.
 
     Args:
-        levels: how many, 2 or more.
+        levels: how many, 2 to 1001.
         noise: standard deviation of a Gaussian error, in spreads.
     """
 
@@ -318,7 +323,7 @@ _SPREADS = Setting(float, lambda x: 0 <= x < math.inf, "a number of spreads, 0 o
 _PROBABILITY = Setting(float, lambda x: 0 <= x <= 1, "a probability, 0 to 1")
 _RATIONALITY = Setting(float, lambda x: x >= 0, "0 or more, or inf")
 _DISCOUNT = Setting(float, lambda x: 0 < x <= 1, "more than 0 and at most 1")
-_LEVELS = Setting(int, lambda x: x >= 2, "a whole number, 2 or more")
+_LEVELS = Setting(int, lambda x: 2 <= x <= MOST_LEVELS, f"a whole number, 2 to {MOST_LEVELS}")
 _CLIPS = Setting(int, lambda x: 2 <= x <= 8, "a whole number, 2 to 8")
 
 SCRIPTED: dict[str, Scripted] = {

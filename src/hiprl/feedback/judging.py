@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from hiprl.data.answer import Answer, Form, number
+from hiprl.data.answer import LARGEST, Answer, Form, number
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import JudgeError
@@ -27,7 +27,7 @@ class Judging:
     """A judge inside hiprl, and what it has to be shown."""
 
     answer: Callable[..., Any]
-    """(clips, hand, *, key) to an answer: the clips shown, and all that there is so far. Asked by `checked`."""
+    """(clips, hand, *, steps, key) to an answer. Asked by `checked`, which says what they are."""
     form: Form | None = None
     """What it answers with, but for `equal` and `unsure`; None for a function of one's own."""
     items: int = 2
@@ -36,14 +36,23 @@ class Judging:
     """How many there are, for `level` and `rating`."""
 
 
-def checked(judging: Judging, clips: tuple[Trajectory, ...], hand: Trajectories, *, key: Key) -> Answer:
+def checked(
+    judging: Judging, clips: tuple[Trajectory, ...], hand: Trajectories, *, steps: int | None = None, key: Key
+) -> Answer:
     """Asks, and sees to it that the answer is one, and about the clips shown. A bare number becomes an `Answer`.
+
+    Args:
+        judging: the judge.
+        clips: what is shown.
+        hand: all trajectories that there are.
+        steps: of a clip that does not end before; None for those of the longest shown.
+        key: of the judge's draws.
 
     Raises:
         JudgeError: the judge raised, or gave no usable answer. The question stays open.
     """
     try:
-        given = judging.answer(clips, hand, key=key)
+        given = judging.answer(clips, hand, steps=steps, key=key)
     except Exception as e:
         raise JudgeError(
             f"the judge raised {type(e).__name__}: {e}; it has to give one number for two trajectories, or an Answer. "
@@ -53,9 +62,9 @@ def checked(judging: Judging, clips: tuple[Trajectory, ...], hand: Trajectories,
         g = _number(given)
         if g is None:
             raise JudgeError(
-                f"the judge answered {given!r}; one finite number is needed, positive where the first trajectory is "
-                "better, or an Answer. Mend the judge and resume the run: the question is still open. (An environment "
-                "that pays no reward needs a judge of your own, or people: `hiprl teach`.)"
+                f"the judge answered {given!r}; one number is needed, positive where the first trajectory is better "
+                f"and at most {LARGEST:g} either way, or an Answer. Mend the judge and resume the run: the question is "
+                "still open. (An environment that pays no reward needs a judge of your own, or people: `hiprl teach`.)"
             )
         given = number(g)
     if given.form != "unsure" and given.items != len(clips):
@@ -68,9 +77,9 @@ def checked(judging: Judging, clips: tuple[Trajectory, ...], hand: Trajectories,
 
 
 def _number(g: object) -> float | None:
-    """The answer, if it is one finite number; a truth value or a text is none."""
+    """The answer, if it is one number that can be learned from; a truth value or a text is none."""
     try:
         x = np.asarray(g)
     except ValueError:  # lists of different lengths
         return None
-    return float(x) if x.shape == () and x.dtype.kind in "iuf" and np.isfinite(x) else None
+    return float(x) if x.shape == () and x.dtype.kind in "iuf" and abs(x) <= LARGEST else None

@@ -181,13 +181,11 @@ def phi_of(T: Trajectories, features: AdditiveFeatures, clips: Clip, config: Que
     """Sum of φ over each clip, less their mean, which says nothing of a difference and would take float32's digits."""
     H = T.rows.actions.shape[1]
     Phi = clip_sums(features, T, clips, H if config.clip is None else min(config.clip, H))
-    if config.items == 1:
-        return Phi.at[:, 0].set(0.0)  # the bias says nothing of a clip beside the average one
     return Phi - jnp.mean(Phi, axis=0, keepdims=True)
 
 
 def apart(x: Float[Array, "..."], shown: Int[Array, "n items"]) -> Float[Array, "n items_less_1 ..."]:
-    """X of each clip that a question shows less that of the last; of a single clip as it is."""
+    """X of each clip that a question shows less that of the last; of a single clip, beside the mean, as it is."""
     each = x[shown]
     return each if shown.shape[1] == 1 else each[:, :-1] - each[:, -1:]
 

@@ -52,4 +52,5 @@ def estimate_reward(
     if numbers:
         return estimate_additive_reward(P, T, config)
     several = len(np.unique(np.asarray(P.judge)[: int(P.count)])) > 1  # by NumPy: JAX would compile for each count
-    return estimate_from_answers(P, T, config.kernels, learn_mistakes=several)
+    again = len(set(P.asked())) < int(P.count)
+    return estimate_from_answers(P, T, config.kernels, learn_mistakes=several or again)

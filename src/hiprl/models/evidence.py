@@ -112,17 +112,15 @@ def kinds_in(P: Preferences) -> set[Kind]:
 
 @partial(jax.jit, static_argnames=("longest",))
 def _with_ratings(features: AdditiveFeatures, T: Trajectories, P: Preferences, Psi, *, longest: int):
-    """Ψ with a row for each rating: its clip against as many average steps of what was at hand."""
+    """Ψ with a row for each rating: its clip against the average clip, as long as it was to be, of what was at hand."""
     Phi = clip_sums(features, T, Clip.whole(jnp.arange(T.capacity)), T.rows.actions.shape[1])
     clips = jax.tree.map(lambda x: x[:, 0], P.clips)
-    steps = jnp.clip(T.rows.length[clips.of] - clips.start, 0, clips.length)
 
-    def average(at_hand: Count) -> Float[Array, " D"]:
+    def average(at_hand: Count, length: Count) -> Float[Array, " D"]:
         there = (jnp.arange(T.capacity) < at_hand) & T.filled
-        count = jnp.maximum(jnp.sum(jnp.where(there, T.rows.length, 0)), 1)
-        return jnp.sum(jnp.where(there[:, None], Phi, 0.0), axis=0) / count
+        each = jnp.maximum(T.rows.length / jnp.maximum(length, 1), 1.0)  # an episode that ends before is a clip as well
+        return there @ Phi / jnp.maximum(jnp.sum(jnp.where(there, each, 0.0)), 1.0)
 
-    shown = clip_sums(features, T, clips, longest)
-    against = shown - steps[:, None] * jax.vmap(average)(P.at_hand)
+    against = clip_sums(features, T, clips, longest) - jax.vmap(average)(P.at_hand, clips.length)
     rated = P.filled & (P.said.kind == Kind.RATING)
     return Psi.at[:, 0].set(jnp.where(rated[:, None], against, Psi[:, 0]))

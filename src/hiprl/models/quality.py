@@ -15,12 +15,14 @@ from hiprl.models.answers import KAPPA, MISTAKE
 from hiprl.models.estimate import RewardConfig, estimate_reward
 from hiprl.models.evidence import Evidence, evidence
 from hiprl.models.likelihood import Noise, log_likelihood
-from hiprl.models.reward import AdditiveReward
+from hiprl.models.reward import JUDGES, AdditiveReward
 from hiprl.models.sums import values
-from hiprl.models.units import lengths_of, units
+from hiprl.models.units import lengths_of, spreads, units
+from hiprl.types import Scalar
 
+TINY = 1e-30
 DRAWS = 512  # from the belief about a held-out answer
-NUMBER_ERROR = 1e-3  # of a number, over the spread of all numbers: nobody counts more exactly
+NUMBER_VAR = 1e-4  # of a number's error, over the mean square of all numbers: a hundredth of their size
 
 
 class Held(NamedTuple):
@@ -29,7 +31,7 @@ class Held(NamedTuple):
     right: Float[Array, " K"]
     """1 where the better clip, or the best of a ranking, was told; 0 where not; NaN where the answer names none."""
     log_likelihood: Float[Array, " K"]
-    """Of the answer, in nats; a number's density is in units of the spread of all numbers."""
+    """Of the answer, in nats; a number's density is in units of the root mean square of all numbers."""
     covered: Float[Array, " K"]
     """1 where a number lay in its 90 % interval; NaN for what is no number."""
 
@@ -73,7 +75,7 @@ def _predicted(P: Preferences, T: Trajectories, reward: AdditiveReward, seen: Ev
     mean = Psi @ reward.mean
     half = Psi @ reward.root.T
     C = jnp.einsum("kid,d,kjd->kij", Psi, reward.prior, Psi) - jnp.einsum("kin,kjn->kij", half, half)
-    L = jnp.linalg.cholesky(C + 1e-6 * (1 + jnp.trace(C, axis1=1, axis2=2))[:, None, None] * jnp.eye(J)[None])
+    L = jnp.linalg.cholesky(C + (TINY + 1e-6 * jnp.trace(C, axis1=1, axis2=2))[:, None, None] * jnp.eye(J)[None])
     z = jnp.asarray(np.random.default_rng(0).normal(size=(DRAWS, J)), jnp.float32)
     draws = mean[:, None] + jnp.einsum("kij,nj->kni", L, z)  # of the differences, in the unit of r̂
     number = P.said.kind == Kind.NUMBER
@@ -82,16 +84,20 @@ def _predicted(P: Preferences, T: Trajectories, reward: AdditiveReward, seen: Ev
     size = jnp.sqrt(jnp.sum(jnp.where(numbers, P.g**2, 0.0)) / count)
     size = jnp.where(size > 0, size, 1.0)
     r = values(seen.features, seen.X, reward.mean).reshape(T.rows.actions.shape[:2])
-    unit = jnp.where(number, 1 / size, reward.errors.scale / units(r, T, P, lengths, newest))
-    kappa = jnp.where(reward.errors.kappa < 1, reward.errors.kappa, KAPPA)  # a reward of numbers alone knows none
-    noise = Noise(kappa, jnp.asarray(NUMBER_ERROR**2 + 1e-4), jnp.asarray(MISTAKE))
+    knows = reward.errors.kappa < 1  # what a whole scale is; a reward of numbers alone takes the spread of r̂ for it
+    whole = jnp.maximum(spreads(r, T, P, lengths)[newest], TINY)
+    scale = jnp.where(knows, reward.errors.scale, 1 / whole) / units(r, T, P, lengths, newest)
+    kappa = jnp.where(knows, reward.errors.kappa, KAPPA)
+    mistakes = jnp.where(knows, reward.errors.mistakes[jnp.minimum(P.judge, JUDGES - 1)], MISTAKE)
 
-    def one(draws: Float[Array, "n J"], said: Said):
+    def one(draws: Float[Array, "n J"], said: Said, mistake: Scalar) -> Scalar:
+        noise = Noise(kappa, jnp.asarray(NUMBER_VAR), mistake)
         each = jax.vmap(lambda u: log_likelihood(u, said, noise))(draws)
         return jax.nn.logsumexp(each) - jnp.log(DRAWS)
 
-    said = Said(P.said.kind, jnp.where(number, P.g / size, P.said.low), P.said.high, P.said.items)
-    value = jax.vmap(one)(draws * unit[:, None, None], said)
+    var = C[:, 0, 0] / size**2 + NUMBER_VAR
+    of_number = -0.5 * ((P.g - mean[:, 0]) / size) ** 2 / var - 0.5 * jnp.log(2 * jnp.pi * var)
+    value = jnp.where(number, of_number, jax.vmap(one)(draws * scale[:, None, None], P.said, mistakes))
     low, high = P.said.low, P.said.high
     above, below = (
         jnp.where(number, P.g > 0, low > -high),

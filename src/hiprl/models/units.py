@@ -37,6 +37,13 @@ def units(
         lengths: what `lengths_of` gives.
         newest: index of the answer whose unit is 1.
     """
+    found = spreads(r, T, P, lengths)
+    one = found[newest]
+    return jnp.where(one > 0, jnp.maximum(found / one, LEAST_UNIT), 1.0)
+
+
+def spreads(r: Float[Array, "N H"], T: Trajectories, P: Preferences, lengths: Int[Array, " L"]) -> Float[Array, " K"]:
+    """Standard deviation of r̂ over the clips at hand at each answer, in the unit of r̂."""
     real = jax.vmap(Trajectory.transitions)(T.rows).mask
     C = jnp.pad(jnp.cumsum(jnp.where(real, r, 0.0), axis=1), ((0, 0), (1, 0)))
     i = jnp.arange(T.capacity)
@@ -55,6 +62,4 @@ def units(
         return jnp.sqrt((there @ within + STARTS * between) / count)
 
     which = jnp.argmax(lengths[None] == P.clips.length[:, :1], axis=1)
-    found = jax.lax.map(spread, lengths)[which, jnp.arange(P.capacity)]
-    one = found[newest]
-    return jnp.where(one > 0, jnp.maximum(found / one, LEAST_UNIT), 1.0)
+    return jax.lax.map(spread, lengths)[which, jnp.arange(P.capacity)]

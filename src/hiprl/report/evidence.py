@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from hiprl.data.preference import WHOLE, Given, Preferences
+from hiprl.data.preference import WHOLE, Given, Kind, Preferences
 from hiprl.data.trajectory import trajectory_from
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.errors import InputError
@@ -74,15 +75,18 @@ def names_of(row: RunRow, T: Trajectories) -> list[str]:
 
 
 def as_said(P: Preferences, form: str) -> Preferences:
-    """The same answers with less in them: numbers and levels as mere choices."""
+    """The same answers with less in them: only which clip was better, and of a rating only whether it was good.
+
+    Rankings, which say no more than that of any two clips, stay.
+    """
     if form == "all":
         return P
     middle = jnp.clip(P.said.low, -1e9, 1e9) + jnp.clip(P.said.high, -1e9, 1e9)
     above, below = middle > 0, middle < 0
-    level = jnp.where(P.said.kind == 0, 1, P.said.kind)
+    level = jnp.where(P.said.kind == Kind.NUMBER, Kind.LEVEL, P.said.kind)
     low = jnp.where(above, 0.0, -jnp.inf)
     high = jnp.where(below, 0.0, jnp.inf)
-    told = P.said.kind <= 1
+    told = P.said.kind != Kind.RANKING
     said = replace(
         P.said,
         kind=level,
@@ -142,7 +146,10 @@ def quality(T: Trajectories, P: Preferences, config: RewardConfig, *, folds: int
 
 
 def consistency(P: Preferences) -> float | None:
-    """Share of the questions that one judge was asked twice, and answered with the same side; None if none was."""
+    """Share of the questions that one judge was asked twice, and answered with the same side; None if none was.
+
+    Of two rankings the share of the pairs in them that are in the same order.
+    """
     return _same_side(P, by_one=True)
 
 
@@ -152,17 +159,32 @@ def agreement(P: Preferences) -> float | None:
 
 
 def _same_side(P: Preferences, *, by_one: bool) -> float | None:
-    n = int(P.count)
-    low, high = (np.clip(np.asarray(x)[:n], -1e9, 1e9) for x in (P.said.low, P.said.high))
-    side, judge = np.sign(low + high), np.asarray(P.judge)[:n]
-    clips = np.stack([np.asarray(x)[:n] for x in (P.clips.of, P.clips.start, P.clips.length)], axis=-1)
+    asked, judge, sides = P.asked(), np.asarray(P.judge), [sides_told(*one) for one in zip(*said_of(P), strict=True)]
     agreed = []
-    for i in range(n):
+    for i in range(len(asked)):
         for j in range(i):
-            same, turned = (clips[i] == clips[j]).all(), (clips[i] == clips[j][::-1]).all()
-            if (same or turned) and (judge[i] == judge[j]) == by_one:
-                agreed.append(side[i] == (side[j] if same else -side[j]))
+            both = sides[i].keys() & sides[j].keys()
+            if both and asked[i] == asked[j] and (judge[i] == judge[j]) == by_one:
+                agreed.append(np.mean([sides[i][pair] == sides[j][pair] for pair in both]))
     return float(np.mean(agreed)) if agreed else None
+
+
+def said_of(P: Preferences) -> tuple[list[list[tuple[int, int, int]]], list[Kind], list[float]]:
+    """The clips of each answer, its kind, and the sign of the difference it tells: NaN where it cannot tell."""
+    n = int(P.count)
+    low, high = (np.asarray(x)[:n] for x in (P.said.low, P.said.high))
+    middle = np.clip(low, -1e9, 1e9) + np.clip(high, -1e9, 1e9)
+    sign = np.where(np.isinf(low) & np.isinf(high), np.nan, np.sign(middle))
+    return P.shown(), [Kind(kind) for kind in np.asarray(P.said.kind)[:n].tolist()], sign.tolist()
+
+
+def sides_told(clips: list[tuple[int, int, int]], kind: Kind, sign: float) -> dict[tuple, float]:
+    """For each ordered pair of clips whether an answer says that the first is better (1) or worse (-1); of one, too."""
+    if kind == Kind.RANKING:
+        return {pair[::way]: float(way) for pair in combinations(clips, 2) for way in (1, -1)}
+    if np.isnan(sign):
+        return {}
+    return {tuple(clips): sign, tuple(clips[::-1]): -sign} if len(clips) > 1 else {tuple(clips): sign}
 
 
 def judges_of(store: Store, row: RunRow) -> list[str]:

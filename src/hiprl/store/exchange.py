@@ -7,16 +7,24 @@ they were given, or a question that is still open, with `null` for its answer. `
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 from hiprl.data.answer import Answer
 from hiprl.errors import HiprlError, InputError
-from hiprl.store.rows import ClipRow, QuestionRow
+from hiprl.store.once import refuse_unfitting
+from hiprl.store.rows import ClipRow, QuestionRow, RunRow
 from hiprl.store.store import Store
 
 SCHEMA = "hiprl-answers"
 VERSION = 1
+ENTRIES = {"k", "clips", "answer", "judge", "swapped", "at"}
+"""Of a line; all but k and the answer may be left out."""
+
+
+JOINERS = "\u200c\u200d"
+"""Zero-width letters that belong to words."""
 
 
 class Given(NamedTuple):
@@ -55,6 +63,9 @@ def exported(store: Store, run_id: str) -> Iterator[str]:
 def imported(store: Store, lines: Iterable[str], *, judge: str = "import") -> Imported:
     """Takes answers in: all of them or, if one cannot be used, none.
 
+    What the same judge said of the same question before is known, as often as it was said: a file that is brought
+    twice changes nothing the second time, and no correction made since is undone.
+
     Args:
         store: where the run is.
         lines: of a file as `exported` writes it; what an answer does not say of itself has a default.
@@ -66,20 +77,28 @@ def imported(store: Store, lines: Iterable[str], *, judge: str = "import") -> Im
     """
     numbered = ((n, line) for n, line in enumerate(lines, 1) if line.strip())
     run_id = _run_of(next(numbered, (1, ""))[1])
-    questions = {question.k: question for question in store.questions(store.run(run_id).id)}
-    there = {(row.k, row.answer, row.judge, row.created_at.isoformat()) for row in store.answers(run_id)}
+    run = store.run(run_id)
+    questions = {question.k: question for question in store.questions(run_id)}
+    there = Counter((row.k, row.answer, row.judge) for row in store.answers(run_id))
+    newest: dict[int, Given] = {}
     given, known, unanswered = [], 0, 0
     for n, line in numbered:
         try:
-            found = _read(line, questions, run_id, judge)
+            found = _read(line, questions, run, judge)
         except HiprlError as e:
             raise InputError(f"line {n}: {e} Nothing was imported.") from e
         if found is None:
             unanswered += 1
-        elif (found.k, found.answer, found.judge, json.loads(line).get("at")) in there:
+            continue
+        said = found.k, found.answer, found.judge
+        if there[said]:
+            there[said] -= 1
+            known += 1
+        elif found.k in newest and newest[found.k][:3] == said:  # twice in a row is once
             known += 1
         else:
             given.append(found)
+        newest[found.k] = found
     added = store.answer_all(run_id, given)
     return Imported(run_id, added, known + len(given) - added, unanswered)
 
@@ -92,7 +111,7 @@ def _asked(question: QuestionRow) -> dict[str, Any]:
 def _object(line: str) -> dict[str, Any]:
     try:
         found = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         found = None
     if not isinstance(found, dict):
         raise InputError(f"got {line.strip()[:60]!r}; a JSON object is needed. See what `hiprl export` writes.")
@@ -109,24 +128,30 @@ def _run_of(line: str) -> str:
         )
     if head.get("version") != VERSION:
         raise InputError(
-            f"got answers of version {head.get('version')}; this hiprl reads version {VERSION}. "
+            f"got answers of version {head.get('version')!r}; this hiprl reads version {VERSION}. "
             "Install the hiprl that wrote the file, or a newer one."
         )
     return head["run"]
 
 
-def _read(line: str, questions: dict[int, QuestionRow], run_id: str, judge: str) -> Given | None:
+def _read(line: str, questions: dict[int, QuestionRow], run: RunRow, judge: str) -> Given | None:
     """The answer in a line; None for a question that is still open."""
     found = _object(line)
+    strange = sorted(set(found) - ENTRIES)
+    if strange:
+        raise InputError(
+            f"got the entries {', '.join(map(repr, strange))}; an answer has {', '.join(sorted(ENTRIES))}. "
+            "Leave out the others, or mend their names."
+        )
     question = questions.get(found["k"]) if type(found.get("k")) is int else None
     if question is None:
         raise InputError(
-            f"got an answer to question {found.get('k')!r}, which run {run_id} does not ask; the number of one of its "
-            f"questions is needed. Look at them with `hiprl export {run_id} --to answers.jsonl`."
+            f"got an answer to question {found.get('k')!r}, which run {run.id} does not ask; the number of one of its "
+            f"questions is needed. Look at them with `hiprl export {run.id} --to answers.jsonl`."
         )
     if "clips" in found and _clips(found["clips"]) != question.clips:
         raise InputError(
-            f"got question {question.k} about other clips than run {run_id} asks about; "
+            f"got question {question.k} about other clips than run {run.id} asks about; "
             f"({', '.join(map(str, question.clips))}) are needed. Export the questions again, and answer those."
         )
     said = found.get("answer")
@@ -135,12 +160,24 @@ def _read(line: str, questions: dict[int, QuestionRow], run_id: str, judge: str)
     if not isinstance(said, dict):
         raise InputError(f"got the answer {said!r}; an object with its form and value is needed. See `hiprl export`.")
     by, swapped = found.get("judge", judge), found.get("swapped", False)
-    if not isinstance(by, str) or not by or not isinstance(swapped, bool):
+    if not isinstance(by, str) or not is_name(by) or not isinstance(swapped, bool):
         raise InputError(
             f"got the judge {by!r} and swapped {swapped!r}; a name, and true or false, are needed. "
             "Leave both out if they are not known."
         )
-    return Given(question.k, Answer.read(said), by, swapped)
+    answer = Answer.read(said)
+    refuse_unfitting(run.id, question.k, answer, len(question.clips))
+    if run.numbers_only and answer.form != "number":
+        raise InputError(
+            f"got an answer of the form {answer.form!r} for run {run.id}, whose reward is the paper's network; that "
+            "learns from numbers alone. Give the form `number`, or leave the line out."
+        )
+    return Given(question.k, answer, by, swapped)
+
+
+def is_name(by: str) -> bool:
+    """Whether somebody may be called so: it can be shown, and kept in any database."""
+    return bool(by.strip()) and all(x.isprintable() or x in JOINERS for x in by)
 
 
 def _clips(plain: Any) -> tuple[ClipRow, ...] | None:

@@ -110,12 +110,7 @@ def add_answer(connection: sa.Connection, run_id: str, k: int, answer: Answer, j
             f"run {run_id} asks nothing in episode {k}; an answer needs its question. "
             "Wait until the episode was executed, or check the run's id."
         )
-    if answer.form != "unsure" and answer.items != len(asked.clips):
-        raise InputError(
-            f"got an answer of the form {answer.form!r}, which is about {_counted(answer.items)}, where run "
-            f"{run_id} asks in episode {k} about {_counted(len(asked.clips))}; it must be about as many. "
-            f"Give {_fitting(len(asked.clips))}, or say that you cannot tell."
-        )
+    refuse_unfitting(run_id, k, answer, len(asked.clips))
     g = number_of(answer)
     said = answer.plain() | ({} if g is None else {"value": g})
     newest = sa.select(answers.c.said, answers.c.judge).where(answers.c.question_id == asked.id)
@@ -125,6 +120,16 @@ def add_answer(connection: sa.Connection, run_id: str, k: int, answer: Answer, j
     row = {"g": g, "said": said, "judge": judge, "swapped": swapped, "created_at": datetime.now(UTC)}
     connection.execute(sa.insert(answers).values(question_id=asked.id, **row))
     return True
+
+
+def refuse_unfitting(run_id: str, k: int, answer: Answer, clips: int) -> None:
+    """Raises InputError if an answer is about more or fewer clips than episode k's question."""
+    if answer.form != "unsure" and answer.items != clips:
+        raise InputError(
+            f"got an answer of the form {answer.form!r}, which is about {_counted(answer.items)}, where run "
+            f"{run_id} asks in episode {k} about {_counted(clips)}; it must be about as many. "
+            f"Give {_fitting(clips)}, or say that you cannot tell."
+        )
 
 
 def _counted(n: int) -> str:

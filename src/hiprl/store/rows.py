@@ -46,6 +46,11 @@ class RunRow:
     versions: dict[str, str]
     """Of hiprl, Python and the libraries that draws depend on."""
 
+    @property
+    def numbers_only(self) -> bool:
+        """Whether its reward can learn from nothing but numbers, as the paper's network."""
+        return self.spec.get("config", {}).get("reward", {}).get("part") == "NetworkConfig"
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrajectoryRow:
