@@ -56,11 +56,18 @@ def test_the_summary_has_what_the_command_line_promises(finished):
         "return_mean",
         "return_std",
         "eval_episodes",
+        "trajectory",
         "wall_seconds",
         "store",
     }
     assert summary["run"] == run_id and summary["comparisons"] == TINY.comparisons and summary["eval_episodes"] == 3
     assert summary["env_steps"] == 31 * (TINY.comparisons + 1 + TINY.confirmations)
+
+
+def test_the_summary_names_what_the_reported_policy_did_first(finished):
+    store, run_id, _, summary = finished
+    assert store.trajectory(run_id, summary["trajectory"]).kind == "policy"
+    assert store.final(run_id)["trajectory"] == summary["trajectory"]
 
 
 def test_each_episode_is_told_of_in_plain_numbers(finished):

@@ -355,6 +355,7 @@ def conclude(store: Store, run_id: str, run: Run, world: World, spec: RunSpec, *
         "return_mean": float(returns.mean()) if known else None,
         "return_std": float(returns.std()) if known else None,
         "eval_episodes": spec.eval_episodes,
+        "trajectory": int(best) if bool(run.archive.filled[best]) else None,
         "wall_seconds": sum(sum(episode["seconds"].values()) for _, episode in facts) + time.perf_counter() - began,
         "store": store.name,
     }

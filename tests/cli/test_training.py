@@ -23,7 +23,7 @@ from hiprl.store.store import open_store
 from tests.cli.tiny import TINY
 
 KEYS = ["run", "env", "seed", "comparisons", "env_steps", "return_mean", "return_std", "eval_episodes", "wall_seconds"]
-KEYS += ["store"]
+KEYS += ["trajectory", "store"]
 
 
 @pytest.fixture

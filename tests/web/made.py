@@ -35,9 +35,11 @@ def poses(i: int, n: int) -> np.ndarray:
     return found
 
 
-def a_taught_run(store: Store, *, trajectories: int = 3, questions: int = 3, filmed: bool = True) -> str:
+def a_taught_run(
+    store: Store, *, trajectories: int = 3, questions: int = 3, filmed: bool = True, judge: str = PEOPLE
+) -> str:
     """Its id."""
-    spec = {"config": to_plain(teachable(Config())), "horizon": H, "judge": PEOPLE}
+    spec = {"config": to_plain(teachable(Config())), "horizon": H, "judge": judge}
     run_id = store.add_run("Hopper-v5", 0, spec, {})
     store.set_scene(run_id, SCENE if filmed else {"kind": "states", "dt": 0.05, "names": ["x", "y"]})
     for i in range(trajectories):

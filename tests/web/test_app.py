@@ -143,22 +143,61 @@ def test_progress_follows_the_run(client, store: Store, run_id: str):
 def test_after_enough_nothing_more_is_asked(client, store: Store, run_id: str):
     enough = lambda **told: client.post(f"/api/runs/{run_id}/enough", json=told)
     assert enough(judge="ada").status_code == 400 and enough().status_code == 400 and not store.enough(run_id)
-    says(client, run_id, asked(client, run_id), choice(True))
-    assert enough().status_code == 400 and not store.enough(run_id)
-    told = enough(judge="ada").json()["progress"]
-    assert (told["state"], told["open"], told["answers"]) == ("finishing", 0, 1) and store.enough(run_id)
-    told = client.get(f"/api/runs/{run_id}/next?judge=ada").json()
-    assert told["question"] is None and told["progress"]["state"] == "finishing"
-    store.finish(run_id, {}, b"")
-    assert enough(judge="bo").json()["progress"]["state"] == "finished"
+    with store.lease(run_id):
+        says(client, run_id, asked(client, run_id), choice(True))
+        assert enough().status_code == 400 and not store.enough(run_id)
+        told = enough(judge="ada").json()["progress"]
+        assert (told["state"], told["open"], told["answers"]) == ("finishing", 0, 1) and store.enough(run_id)
+        told = client.get(f"/api/runs/{run_id}/next?judge=ada").json()
+        assert told["question"] is None and told["progress"]["state"] == "finishing"
+        store.finish(run_id, {}, b"")
+        assert enough(judge="bo").json()["progress"]["state"] == "finished"
 
 
 def test_all_answers_given_it_practises_for_the_last_time(client, store: Store):
     run_id = a_taught_run(store, questions=30)
-    for k in range(1, 31):
-        assert client.get(f"/api/runs/{run_id}/next?judge=x").json()["progress"]["state"] == "waiting"
+    with store.lease(run_id):
+        for k in range(1, 31):
+            assert client.get(f"/api/runs/{run_id}/next?judge=x").json()["progress"]["state"] == "waiting"
+            store.answer(run_id, k, choice(True), "ada")
+        assert client.get(f"/api/runs/{run_id}/next?judge=x").json()["progress"]["state"] == "finishing"
+
+
+def test_where_no_trainer_is_it_is_stopped_and_what_is_open_is_asked(client, store: Store, run_id: str):
+    state = lambda: client.get(f"/api/runs/{run_id}/next?judge=x").json()["progress"]["state"]
+    for k in (1, 2, 3):
+        assert state() == "waiting"
         store.answer(run_id, k, choice(True), "ada")
-    assert client.get(f"/api/runs/{run_id}/next?judge=x").json()["progress"]["state"] == "finishing"
+    assert state() == "stopped" and ">stopped<" in client.get("/").text
+    with store.lease(run_id):
+        assert state() == "learning" and ">busy<" in client.get("/").text
+    store.say_enough(run_id, "ada")
+    assert state() == "stopped"
+    with store.lease(run_id):
+        assert state() == "finishing"
+    store.finish(run_id, {}, b"")
+    assert state() == "finished" and ">finished<" in client.get("/").text
+
+
+def test_a_run_that_a_script_judges_asks_nobody(client, store: Store):
+    run_id = a_taught_run(store, judge="choice:mistake=0.1")
+    page, listed = client.get(f"/runs/{run_id}").text, client.get("/").text
+    for text in (page, listed):
+        assert f"/runs/{run_id}/teach" not in text and f"/runs/{run_id}/review" not in text
+        assert "asks you" not in text and "of yours" not in text and "from you" not in text
+    assert f'href="/runs/{run_id}">Hopper-v5</a>' in listed and "judge choice:mistake=0.1" in listed
+    for name in ("teach", "review"):
+        assert client.get(f"/runs/{run_id}/{name}").headers["location"] == f"/runs/{run_id}"
+    with store.lease(run_id):
+        told = client.get(f"/api/runs/{run_id}/next?judge=x").json()["progress"]
+    assert (told["people"], told["state"], told["open"]) == (False, "warming up", 0)
+
+
+@pytest.mark.parametrize("finished", [False, True])
+def test_a_finished_run_is_not_taught_on(client, store: Store, run_id: str, finished: bool):
+    if finished:
+        store.finish(run_id, {}, b"")
+    assert ('id="go-on" hidden' in client.get(f"/runs/{run_id}").text) == finished
 
 
 def test_review_marks_where_the_reward_disagrees(client, store: Store, run_id: str):
@@ -181,6 +220,17 @@ def test_what_it_does_now_is_its_newest_policy(client, store: Store, run_id: str
     assert (found["clip"]["trajectory"], found["clip"]["steps"]) == (2, 26)
     assert found["episode"] == 1  # of those that were executed, from 0
     assert client.get(f"/api/runs/{a_taught_run(store, trajectories=2)}/now").json() == {"clip": None, "episode": None}
+
+
+@pytest.mark.parametrize(
+    ("facts", "shown"), [({"trajectory": 2}, (2, 1)), ({}, (3, 2)), ({"trajectory": None}, (3, 2))]
+)
+def test_what_a_finished_run_does_is_what_it_reports(client, store: Store, facts: dict, shown: tuple[int, int]):
+    run_id = a_taught_run(store, trajectories=4)
+    now = lambda: client.get(f"/api/runs/{run_id}/now").json()
+    assert (now()["clip"]["trajectory"], now()["episode"]) == (3, 2)  # 1 was imagined
+    store.finish(run_id, facts, b"")
+    assert (now()["clip"]["trajectory"], now()["episode"]) == shown
 
 
 def test_a_world_of_which_nothing_is_seen_shows_its_states(client, store: Store):

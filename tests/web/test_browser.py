@@ -163,21 +163,37 @@ def test_undo_and_reload_lose_nothing(served: Served):
 
 
 def test_a_person_has_had_enough(served: Served):
+    with served.store.lease(served.run_id):
+        page = served.tab("/teach")
+        served.shown(page)
+        assert not page.is_visible("#finish")  # nothing was learned yet
+        served.press(page, "1")
+        page.click("#finish")
+        page.click("#finish-no")
+        served.press(page, "1")
+        assert not served.store.enough(served.run_id)
+        page.click("#finish")
+        assert "2 answers" in page.inner_text("#finishing")
+        page.click("#finish-yes")
+        page.wait_for_selector("#teach[data-mode=waiting][data-state=finishing]")
+        assert served.store.enough(served.run_id) and not page.is_visible("#finish")
+        served.store.finish(served.run_id, {}, b"")
+        page.wait_for_selector("#teach[data-mode=finished]")
+
+
+def test_a_page_tells_that_nobody_trains(served: Served):
     page = served.tab("/teach")
-    served.shown(page)
-    assert not page.is_visible("#finish")  # nothing was learned yet
-    served.press(page, "1")
-    page.click("#finish")
-    page.click("#finish-no")
-    served.press(page, "1")
-    assert not served.store.enough(served.run_id)
-    page.click("#finish")
-    assert "2 answers" in page.inner_text("#finishing")
-    page.click("#finish-yes")
-    page.wait_for_selector("#teach[data-mode=waiting][data-state=finishing]")
-    assert served.store.enough(served.run_id) and not page.is_visible("#finish")
-    served.store.finish(served.run_id, {}, b"")
-    page.wait_for_selector("#teach[data-mode=finished]")
+    for _ in range(6):
+        served.press(page, "1")
+    page.wait_for_selector("#teach[data-mode=waiting][data-state=stopped]")
+    assert "not running" in page.inner_text("#meanwhile-title")
+    assert f"hiprl resume {served.run_id}" in page.inner_text("#meanwhile-text")
+    progress = served.tab("")
+    progress.wait_for_selector("#state[data-state=stopped]")
+    assert f"hiprl resume {served.run_id}" in progress.inner_text("#helping")
+    with served.store.lease(served.run_id):
+        page.wait_for_selector("#teach[data-mode=waiting][data-state=learning]")
+        assert "Practising" in page.inner_text("#meanwhile-title")
 
 
 def test_two_judges_answer_at_once(served: Served):
@@ -355,21 +371,22 @@ def until(holds: Callable[[], bool]) -> None:
 
 
 def test_while_there_is_nothing_new_a_doubtful_answer_is_looked_at_again(served: Served):
-    page = served.tab("/teach")
-    done = [served.press(page, "1") for _ in range(6)]
-    page.wait_for_selector("#teach[data-mode=waiting]")
-    assert page.is_visible("#to-review a")
-    served.store.finish_episode(served.run_id, 1, {"k": 1, "disagrees": [done[2]]}, b"1")
-    page.wait_for_function("k => document.getElementById('teach').dataset.question == k", arg=str(done[2]))
-    assert "would say otherwise" in page.inner_text("#again-text")
-    served.store.ask(served.run_id, 7, served.store.questions(served.run_id)[0].clips[::-1])
-    arrived = "k => document.getElementById('teach').dataset.question == k"
-    page.wait_for_function(arrived, arg="7")  # what is new comes by itself
-    assert not page.is_visible("#again")
-    page.wait_for_timeout(1000)  # a key that was meant for the other pair does not count
-    assert served.press(page, "5") == 7
-    assert as_shown(served.store, served.run_id, 7) == level(-2, 5)
-    assert len(served.store.answers(served.run_id)) == 7
+    with served.store.lease(served.run_id):
+        page = served.tab("/teach")
+        done = [served.press(page, "1") for _ in range(6)]
+        page.wait_for_selector("#teach[data-mode=waiting]")
+        assert page.is_visible("#to-review a")
+        served.store.finish_episode(served.run_id, 1, {"k": 1, "disagrees": [done[2]]}, b"1")
+        page.wait_for_function("k => document.getElementById('teach').dataset.question == k", arg=str(done[2]))
+        assert "would say otherwise" in page.inner_text("#again-text")
+        served.store.ask(served.run_id, 7, served.store.questions(served.run_id)[0].clips[::-1])
+        arrived = "k => document.getElementById('teach').dataset.question == k"
+        page.wait_for_function(arrived, arg="7")  # what is new comes by itself
+        assert not page.is_visible("#again")
+        page.wait_for_timeout(1000)  # a key that was meant for the other pair does not count
+        assert served.press(page, "5") == 7
+        assert as_shown(served.store, served.run_id, 7) == level(-2, 5)
+        assert len(served.store.answers(served.run_id)) == 7
 
 
 def test_progress_and_the_list_of_runs_are_there(served: Served):

@@ -5,7 +5,7 @@ import { announce, find, make, write } from "./dom.js";
 import { early, film } from "./film.js";
 import { judge } from "./judge.js";
 import { level, Strip } from "./strip.js";
-import { names, said, whenStacked } from "./words.js";
+import { many, names, said, whenStacked } from "./words.js";
 
 export async function review(run) {
   early();

@@ -4,7 +4,7 @@ import { api, Refused } from "./api.js";
 import { chart } from "./chart.js";
 import { find, make, write } from "./dom.js";
 import { early, film } from "./film.js";
-import { foreseen, helping, short } from "./words.js";
+import { foreseen, helping, many, short, stopped } from "./words.js";
 
 const BARS = 12; // parts of the reward that are shown at first
 
@@ -14,7 +14,7 @@ const number = (x) => (typeof x === "boolean" ? Number(x) : x);
 export async function progress(run) {
   early();
   const server = api(run);
-  let scene = null, player = null, episode = null, busy = false, due = false;
+  let scene = null, player = null, shown = null, busy = false, due = false;
 
   function curve(id, episodes, key, title, options = {}) {
     const points = episodes.filter((e) => known(number(e[key]))).map((e) => [e.k, number(e[key])]);
@@ -56,7 +56,7 @@ export async function progress(run) {
   function judges(each, agreement) {
     find("judges").hidden = !each.length;
     find("judges-list").replaceChildren(...each.map(({ judge, answers, mistakes }) =>
-      make("li", {}, `${judge}: ${answers} answers${known(mistakes) ? `, wrong in about ${Math.round(100 * mistakes)} %` : ""}`)));
+      make("li", {}, `${judge}: ${many(answers, "answer")}${known(mistakes) ? `, wrong in about ${Math.round(100 * mistakes)} %` : ""}`)));
     find("agreement").hidden = !known(agreement);
     write(find("agreement"), `Asked the same, two of you say the same in ${Math.round(100 * (agreement ?? 0))} %.`);
   }
@@ -91,18 +91,21 @@ export async function progress(run) {
 
   function told(it) {
     write(find("count"), `${it.answers}`);
-    write(find("planned"), it.planned ? `of ${it.planned} answers` : "answers");
+    write(find("planned"), it.planned ? `of ${many(it.planned, "answer")}` : it.answers === 1 ? "answer" : "answers");
     write(find("sure"), foreseen(it));
-    write(find("helping"), helping(it));
-    write(find("state"), { "warming up": "Trying out movements", waiting: "Waiting for your answers", learning: "Practising", finishing: "Practising for the last time", finished: "Finished" }[it.state] ?? it.state);
+    const gone = it.state === "stopped";
+    write(find("helping"), gone ? stopped(run, it.people) : helping(it));
+    for (const id of ["sure", "helping"]) find(id).hidden = !find(id).textContent;
+    if (find("go-on")) find("go-on").hidden = it.state === "finished";
+    write(find("state"), { stopped: "Not running", "warming up": "Trying out movements", waiting: "Waiting for your answers", learning: "Practising", finishing: "Practising for the last time", finished: "Finished" }[it.state] ?? it.state);
     find("state").dataset.state = it.state;
     if (it.goal) write(find("goal"), it.goal);
   }
 
   async function now() {
     const got = await server.now();
-    if (!got.clip || got.episode === episode) return;
-    episode = got.episode;
+    if (!got.clip || got.clip.trajectory === shown) return;
+    shown = got.clip.trajectory;
     scene ??= await server.scene();
     find("now").hidden = false;
     write(find("now-label"), `Episode ${got.episode}`);

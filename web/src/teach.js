@@ -5,7 +5,7 @@ import { announce, find, write } from "./dom.js";
 import { early, film } from "./film.js";
 import { call, judge, named } from "./judge.js";
 import { level, Strip } from "./strip.js";
-import { foreseen, helping, meanwhile, names, said, whenStacked } from "./words.js";
+import { foreseen, helping, many, meanwhile, names, said, whenStacked } from "./words.js";
 
 const POLL = 1000; // milliseconds between looks for a question
 const LINGER = 600; // the old pair stays so long before the page says that it waits
@@ -19,6 +19,7 @@ export async function teach(run) {
 
 class Teaching {
   constructor(run) {
+    this.run = run;
     this.api = api(run);
     this.question = null; // as the server gave it
     this.flipped = false; // sides swapped here, on top of the server's
@@ -34,7 +35,7 @@ class Teaching {
     this.strip = new Strip(find("strip"), {
       onAnswer: (a, event) => this.#meant(event) && this.answer(a), onHover: (side) => this.hint(side),
     });
-    this.nowEpisode = null;
+    this.nowOf = null; // which state of the run is shown as what it does now
   }
 
   async start() {
@@ -113,7 +114,7 @@ class Teaching {
 
   /** While there is nothing new: shows a pair about which it is of another opinion. */
   async #lookAgain(mine) {
-    if (!this.state?.answers) return;
+    if (!this.state?.answers || this.state.state === "stopped") return;
     let question;
     try {
       const past = await this.api.answers();
@@ -277,15 +278,16 @@ class Teaching {
   }
 
   async wait(progress) {
-    const [title, text] = meanwhile(progress);
+    const [title, text] = meanwhile(progress, this.run);
     const fresh = find("teach").dataset.mode === "asking" || find("teach").dataset.mode === "loading";
     this.mode(progress.state === "finished" ? "finished" : "waiting");
     this.busy = this.strip.busy = false;
     this.#dim(false);
+    const other = find("meanwhile-title").textContent !== title;
     write(find("meanwhile-title"), title);
     write(find("meanwhile-text"), text);
+    if (fresh || other) announce(`${title} ${text}`);
     if (fresh) {
-      announce(`${title} ${text}`);
       this.nowShown = null;
       this.player.goOn();
     }
@@ -300,12 +302,17 @@ class Teaching {
     const bar = find("bar");
     bar.max = Math.max(planned || 0, answers, 1);
     bar.value = answers;
-    write(find("count"), planned ? `${answers} of ${planned} answers` : `${answers} answers`);
+    write(find("count"), planned ? `${answers} of ${many(planned, "answer")}` : many(answers, "answer"));
     write(find("sure"), foreseen(progress));
     write(find("worth"), helping(progress));
-    find("finish").hidden = !answers || ["finishing", "finished"].includes(progress.state);
+    find("finish").hidden = !answers || ["finishing", "finished", "stopped"].includes(progress.state);
     find("teach").dataset.state = progress.state;
-    if (progress.episodes !== this.nowEpisode) this.#now();
+    if (this.#newest() !== this.nowOf) this.#now();
+  }
+
+  /** Names what it does now: another one after each episode, and at the end. */
+  #newest() {
+    return `${this.state.episodes}${this.state.state === "finished" ? " at the end" : ""}`;
   }
 
   #fetching = false;
@@ -313,17 +320,17 @@ class Teaching {
   /** Brings what it does now up to date, small beside the pair or large while there is none. */
   async #now() {
     if (!this.player || !this.state) return;
-    if (this.state.episodes !== this.nowEpisode && !this.#fetching) {
+    if (this.#newest() !== this.nowOf && !this.#fetching) {
       this.#fetching = true;
-      const episode = this.state.episodes;
+      const newest = this.#newest();
       try {
         const got = await this.api.now();
         this.nowClip = got.clip;
         this.nowLabel = `Episode ${got.episode}`;
-        this.nowEpisode = episode;
       } catch {
-        this.nowEpisode = episode; // asked again at the next episode
+        // asked again at the next episode
       }
+      this.nowOf = newest;
       this.#fetching = false;
     }
     if (!this.nowClip) {

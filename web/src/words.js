@@ -36,16 +36,23 @@ export function said(answer, count = 2) {
   }
 }
 
+/** "1 answer", "2 answers". */
+export function many(n, what) {
+  return `${n} ${what}${n === 1 ? "" : "s"}`;
+}
+
 /** How many answers it foresaw, of ten. */
-export function foreseen({ sure, answers }) {
+export function foreseen({ sure, answers, people }) {
   if (sure === null || sure === undefined) {
+    if (people === false) return "";
     return answers ? "Too early to say how well it understands you" : "It knows nothing about your wishes yet";
   }
-  return `It foresees ${Math.round(10 * sure)} of 10 of your answers`;
+  return `It foresees ${Math.round(10 * sure)} of 10 of ${people === false ? "the judge's" : "your"} answers`;
 }
 
 /** Whether it is worth going on. */
-export function helping({ worth, enough, state }) {
+export function helping({ worth, enough, state, people }) {
+  if (people === false || state === "stopped") return "";
   if (state === "finished") return "It needs no more answers";
   if (state === "finishing") return "It asks no more";
   if (enough) return "More answers hardly help: you may finish";
@@ -53,9 +60,16 @@ export function helping({ worth, enough, state }) {
   return worth > 0.01 ? "More answers help a little" : "More answers hardly help";
 }
 
+/** What to do about a run whose trainer is gone. */
+export function stopped(run, people = true) {
+  return `Go on with "hiprl resume ${run}" in a terminal${people ? "; your answers are kept" : ""}.`;
+}
+
 /** What it does while there is nothing to ask: a title and a sentence. */
-export function meanwhile({ state, answers }) {
+export function meanwhile({ state, answers }, run) {
   switch (state) {
+    case "stopped":
+      return ["It is not running", stopped(run)];
     case "warming up":
       return ["Trying out movements", "It moves about at random first, so that there is something to compare."];
     case "learning":

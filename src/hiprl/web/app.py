@@ -26,7 +26,7 @@ from hiprl.data.answer import Answer
 from hiprl.errors import HiprlError, InputError
 from hiprl.store.store import Store
 from hiprl.web.access import OPEN_PATHS, Doors, Guard, foreign
-from hiprl.web.shown import Shown, turned
+from hiprl.web.shown import Shown, taught_by_people, turned
 
 HERE = Path(__file__).parent
 RUN = re.compile(r"[a-z0-9-]{1,80}")
@@ -78,7 +78,11 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
     def page(name: str) -> Callable[[Request], Awaitable[Response]]:
         def render(request: Request) -> Response:
             run_id = run_of(request)
-            told = {"run": run_id, "env": store.run(run_id).env, "goal": store.goal(run_id)}
+            row, finished = store.run(run_id), store.final(run_id) is not None
+            people = taught_by_people(row)
+            if not people and name != "run":  # there is nothing to say on the other pages
+                return RedirectResponse(f"/runs/{run_id}", 303)
+            told = {"run": run_id, "env": row.env, "goal": store.goal(run_id), "people": people, "finished": finished}
             return templates.TemplateResponse(request, f"{name}.html", told)
 
         return guarded(render)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from hiprl.config import PEOPLE
 from hiprl.data.answer import Answer
 from hiprl.data.film import Film
 from hiprl.store.rows import AnswerRow, ClipRow, QuestionRow, RunRow
@@ -63,8 +64,9 @@ class Shown:
         return {"k": row.k, "swapped": swapped, "clips": clips[::-1] if swapped else clips, "answer": said}
 
     def now(self, run_id: str) -> Plain:
-        """The newest thing that its policy did."""
-        number = self.store.newest(run_id, "policy")
+        """What the reported policy did first, or while there is none, the newest thing that its policy did."""
+        reported = (self.store.final(run_id) or {}).get("trajectory")  # which old stores do not tell
+        number = self.store.newest(run_id, "policy") if reported is None else reported
         if number is None:
             return {"clip": None, "episode": None}
         episode = self.store.executed_before(run_id, number)
@@ -80,18 +82,21 @@ class Shown:
         done = self.store.final(run_id) is not None
         searched = any(one.get("searched") for one in facts)
         waiting = asked - answers
+        people = taught_by_people(row)
         ending = self.store.enough(run_id) or answers >= planned > 0
-        trying = "learning" if searched or answers else "warming up"
-        state = "finished" if done else "finishing" if ending else "waiting" if waiting else trying
+        asks = people and waiting > 0 and not ending
+        trying = "finishing" if ending else "learning" if searched or answers else "warming up"
+        alone = "waiting" if asks else trying if self.store.trained(run_id) else "stopped"
         return {
             "answers": answers,
             "planned": planned,
-            "open": 0 if ending else waiting,
+            "people": people,
+            "open": waiting if asks else 0,
             "episodes": len(facts),
             "sure": sum(foreseen) / len(foreseen) if foreseen else None,
             "worth": worth[-1] if worth else None,
             "enough": len(worth) >= IN_A_ROW and max(worth[-IN_A_ROW:]) < LITTLE,
-            "state": state,
+            "state": "finished" if done else alone,
             "goal": self.store.goal(run_id),
         }
 
@@ -148,13 +153,18 @@ class Shown:
     def run(self, row: RunRow) -> Plain:
         """A line of the list of runs."""
         told = self.progress(row.id)
-        names = ("goal", "answers", "planned", "open")
-        return {"run": row.id, "env": row.env, "finished": told["state"] == "finished"} | {n: told[n] for n in names}
+        names = ("goal", "answers", "planned", "open", "state", "people")
+        return {"run": row.id, "env": row.env, "judge": row.spec.get("judge")} | {name: told[name] for name in names}
 
 
 def planned_of(row: RunRow) -> int:
     """How many answers a run is to have."""
     return int(row.spec.get("config", {}).get("comparisons", 0))
+
+
+def taught_by_people(row: RunRow) -> bool:
+    """Whether people answer, and no script does."""
+    return row.spec.get("judge", PEOPLE) == PEOPLE
 
 
 def turned(answer: Answer, swapped: bool) -> Answer:
