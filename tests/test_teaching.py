@@ -327,12 +327,17 @@ def test_after_a_resume_old_answers_are_not_told_as_foreseen(tmp_path):
         asking.listen()
         again = Asking(store, asking.row, asking.config, asking.known, key=asking.key)
         again.listen()
-        assert asking.known.answers == 3 and again.foresight == []
+        assert asking.known.answers == 3 and again.foresight == [] and asking.verdicts["heard"] == 3
         again.ask()
         store.claim(run_id, "ada")
         store.answer(run_id, 4, level(2, 5), "ada")
         again.listen()
         assert len(again.foresight) == 1
+        store.answer(run_id, 1, level(-2, 5), "ada")  # corrected: what was found tells nothing of it until it is heard
+        assert again.verdicts["heard"] == 4
+        again.listen()
+        judged = again.verdicts["agrees"] + again.verdicts["disagrees"]
+        assert again.verdicts["heard"] == 5 and sorted(judged) == [1, 2, 3, 4]
 
 
 def test_next_to_nothing_is_no_news():

@@ -12,6 +12,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -102,10 +103,9 @@ class Asking:
         self.foresight: list[float] = []
         """Of the answers since the last episode: 1 where r̂ had foreseen the side, 0 where not."""
         self.weights: dict[str, float] = {}
-        self.agrees: list[int] = []
-        """Questions that r̂ answers as the judge did."""
-        self.disagrees: list[int] = []
-        """Questions that it would answer otherwise."""
+        self.verdicts: Facts = {"agrees": [], "disagrees": [], "heard": 0}
+        """Questions that r̂ answers as the judge did, those that it would answer otherwise, and how many answers there
+        were, corrected ones too, when this was found: it tells nothing of later ones."""
         self.opinions: dict[str, Any] = {}
         """Who answered, and how often each errs, where there are several."""
         self.trainer_waits = False
@@ -138,11 +138,13 @@ class Asking:
 
     def listen(self) -> None:
         """Takes in what was answered since the last time."""
-        questions = self.store.questions(self.row.id)
-        answered = {question.k: question.answer for question in questions if question.answer is not None}
+        given = self.store.answers(self.row.id)
+        answered = {row.k: row.answer for row in given}  # the newest of each
         if answered and answered != self._seen:
+            asked = self.store.questions(self.row.id)
+            questions = [replace(question, answer=answered.get(question.k)) for question in asked]
             before = self._seen if self._seen is not None else answered if self.known.answers else {}
-            self._take_in(questions, new=[k for k, said in answered.items() if before.get(k) != said])
+            self._take_in(questions, new=[k for k, said in answered.items() if before.get(k) != said], heard=len(given))
         self._seen = answered
 
     def ask(self) -> None:
@@ -167,7 +169,7 @@ class Asking:
         K, tried = self.config.comparisons, int(np.sum(self.known.run.archive.filled))
         return K if tried >= REHEARSALS or self.trainer_waits else min(K, max(FIRST, K - int(KEPT * K)))
 
-    def _take_in(self, questions: list[QuestionRow], *, new: list[int]) -> None:
+    def _take_in(self, questions: list[QuestionRow], *, new: list[int], heard: int) -> None:
         run = self.known.run
         if int(run.P.count):
             sides = sides_of(run, questions)
@@ -177,7 +179,8 @@ class Asking:
         self.known.told(P, reward)
         after = self.known.run
         sides = sides_of(after, questions)
-        self.agrees, self.disagrees = ([k for k, side in sides.items() if side == right] for right in (1, 0))
+        agrees, disagrees = ([k for k, side in sides.items() if side == right] for right in (1, 0))
+        self.verdicts = {"agrees": agrees, "disagrees": disagrees, "heard": heard}
         if isinstance(reward, AdditiveReward):
             self.weights = shares(reward, shapes(reward, after.T), names_of(self.row, after.T))
             self.opinions = opinions(self.store, self.row, P, reward)
@@ -317,7 +320,7 @@ def practised(
     if asking is not None:
         told, asking.foresight = asking.foresight, []
         facts |= {"foreseen": float(np.mean(told)) if told else None}
-        facts |= {"weights": asking.weights, "agrees": asking.agrees, "disagrees": asking.disagrees, **asking.opinions}
+        facts |= {"weights": asking.weights, **asking.verdicts, **asking.opinions}
     facts = finite_or_none(facts)
     taus = [
         (row, in_bytes(world.film_of(row.states) if row.imagined else world.film))

@@ -215,6 +215,21 @@ def test_review_marks_where_the_reward_disagrees(client, store: Store, run_id: s
     assert question["answer"] == store.answer_of(run_id, 2).plain()
 
 
+def test_a_changed_answer_has_no_verdict_until_it_is_heard(client, store: Store, run_id: str):
+    for k in (1, 2):
+        store.answer(run_id, k, choice(True), "ada")
+    store.answer(run_id, 3, CANNOT_TELL, "ada")
+    told = lambda: [(row["agrees"], row["sided"]) for row in client.get(f"/api/runs/{run_id}/answers").json()]
+    assert told() == [(None, True), (None, True), (None, False)]
+    facts = {"agrees": [2], "disagrees": [1], "heard": 3}
+    store.finish_episode(run_id, 1, {"k": 1, **facts}, b"1")
+    assert told() == [(False, True), (True, True), (None, False)]
+    store.answer(run_id, 1, choice(False), "ada")
+    assert told() == [(None, True), (True, True), (None, False)]
+    store.finish_episode(run_id, 2, {"k": 2, "agrees": [1, 2], "disagrees": [], "heard": 4}, b"2")
+    assert told() == [(True, True), (True, True), (None, False)]
+
+
 def test_what_it_does_now_is_its_newest_policy(client, store: Store, run_id: str):
     found = client.get(f"/api/runs/{run_id}/now").json()
     assert (found["clip"]["trajectory"], found["clip"]["steps"]) == (2, 26)

@@ -310,6 +310,28 @@ def test_an_answer_is_changed_in_review(served: Served):
     assert [row.answer for row in served.store.answers(served.run_id)][1:] == [level(0, 5)]
 
 
+def test_review_takes_the_same_keys_and_says_what_is_known(served: Served):
+    served.store.answer(served.run_id, 1, choice(True), "ada")
+    page = served.tab("/review")
+    page.wait_for_function("() => document.getElementById('summary').textContent.trim()")
+    assert page.inner_text("#summary") == "1 answer. It has not looked at it yet."
+    page.click("#list button")
+    page.wait_for_selector("#viewer:not([hidden])")
+    changed = "words => document.getElementById('said').textContent.endsWith(words)"
+    page.keyboard.press("u")
+    page.wait_for_function(changed, arg="when it goes on.")
+    with served.store.lease(served.run_id):
+        page.keyboard.press("ArrowRight")
+        page.wait_for_function(changed, arg="learns from this now.")
+    page.keyboard.press(" ")  # the list has not kept it
+    assert page.get_attribute(".hp-play", "aria-label") == "Play"
+    served.store.finish(served.run_id, {}, b"")
+    page.keyboard.press("ArrowDown")
+    page.wait_for_function(changed, arg="changes nothing.")
+    said = [row.answer for row in served.store.answers(served.run_id)]
+    assert said == [choice(True), CANNOT_TELL, choice(False), EQUALLY_GOOD]
+
+
 @contextmanager
 def trained(path: str, run_id: str) -> Iterator[subprocess.Popen]:
     """A trainer in a process of its own, which is killed at the end if not before."""

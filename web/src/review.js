@@ -17,10 +17,7 @@ export async function review(run) {
     all = await server.answers();
     const order = (a) => (a.agrees === false ? 0 : 1);
     all.sort((a, b) => order(a) - order(b) || String(b.at).localeCompare(String(a.at)) || b.k - a.k);
-    const differ = all.filter((a) => a.agrees === false).length;
-    write(find("summary"), all.length === 0 ? "No answers yet."
-      : differ ? `${all.length} answers. It would answer ${differ} of them differently: look at those first.`
-        : `${all.length} answers. None that it would answer differently.`);
+    write(find("summary"), `${all.length ? many(all.length, "answer") : "No answers yet"}. ${verdicts()}`.trim());
     const several = new Set(all.map((a) => a.judge)).size > 1;
     find("list").replaceChildren(...all.map((a) => make("li", {}, make("button.past", {
       type: "button", "aria-current": open && same(open, a) ? "true" : null, onclick: () => look(a),
@@ -29,6 +26,23 @@ export async function review(run) {
     make("span.past-words", {}, said(a.answer, a.clips.length), several ? make("span.past-judge", {}, a.judge) : null),
     a.agrees === false ? make("span.tag.differs", {}, "sees it differently")
       : a.agrees === true ? make("span.tag", {}, "agrees") : null))));
+  }
+
+  /** What it makes of the answers that say which is better, in words. */
+  function verdicts() {
+    const sided = all.filter((a) => a.sided);
+    const known = sided.filter((a) => a.agrees !== null), differ = known.filter((a) => !a.agrees).length;
+    const unknown = sided.length - known.length;
+    if (!known.length) return unknown ? `It has not looked at ${unknown === 1 ? "it" : "them"} yet.` : "";
+    const rest = unknown ? ` It has not looked at ${unknown === 1 ? "one" : unknown} yet.` : "";
+    if (differ) return `It would answer ${differ} of them differently: look at ${differ === 1 ? "that" : "those"} first.${rest}`;
+    return unknown ? `None of ${known.length} that it would answer differently.${rest}` : "None that it would answer differently.";
+  }
+
+  /** What comes of a changed answer. */
+  function taken({ state, trained }) {
+    if (state === "finished") return "It has finished learning: this is kept, and changes nothing.";
+    return trained ? "It learns from this now." : "It learns from this when it goes on.";
   }
 
   const same = (a, b) => a.k === b.k && a.judge === b.judge;
@@ -79,7 +93,7 @@ export async function review(run) {
     strip.busy = true;
     strip.mark(answer);
     try {
-      await server.answer({ k: past.k, judge: past.judge, swapped: false, answer });
+      const { progress } = await server.answer({ k: past.k, judge: past.judge, swapped: false, answer });
       past.answer = answer;
       past.agrees = null;
       announce(`Changed to: ${said(answer, past.clips.length)}`);
@@ -87,7 +101,7 @@ export async function review(run) {
       const fresh = all.find((a) => same(a, past));
       if (open === past && fresh) open = fresh;
       paint();
-      write(find("said"), `Changed to: ${said(answer, past.clips.length)}. It learns from this now.`);
+      write(find("said"), `Changed to: ${said(answer, past.clips.length)}. ${taken(progress)}`);
     } catch (error) {
       strip.busy = false;
       trouble(error, () => change(answer));
@@ -103,19 +117,35 @@ export async function review(run) {
     if (!(error instanceof Refused)) console.error(error);
   }
 
+  /** The answer that belongs to a key, as where one teaches. */
+  function keyed(key, count) {
+    if (key === "u" || key === "?") return { form: "unsure" };
+    if (/^[1-5]$/.test(key) && count <= 2) return level(Number(key), count);
+    if (count !== 2) return null;
+    return {
+      arrowleft: { form: "choice", value: 1 }, arrowright: { form: "choice", value: -1 },
+      arrowdown: { form: "equal" }, e: { form: "equal" },
+    }[key] ?? null;
+  }
+
+  for (const id of ["list", "change"]) {
+    find(id).addEventListener("click", (event) => {
+      if (event.detail) event.target.closest("button")?.blur(); // keys are the page's again
+    });
+  }
   find("unsure").addEventListener("click", () => change({ form: "unsure" }));
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || !open) return;
     const { tagName, type } = event.target;
-    if (tagName === "INPUT" && type !== "range") return;
+    if (tagName === "INPUT" && (type !== "range" || /^(Arrow|Home|End|Page)/.test(event.key))) return;
     const count = open.clips.length;
-    const mine = open.judge === judge();
+    const given = open.judge === judge() && !event.repeat ? keyed(event.key.toLowerCase(), count) : null;
     if (event.key === " " && tagName !== "BUTTON" && tagName !== "A") player?.toggle();
     else if (event.key === "[") player?.nudge(-1);
     else if (event.key === "]") player?.nudge(1);
     else if (event.key === "+" || event.key === "=") player?.faster();
     else if (event.key === "-") player?.slower();
-    else if (mine && !event.repeat && /^[1-5]$/.test(event.key) && count <= 2) change(level(Number(event.key), count));
+    else if (given) change(given);
     else return;
     event.preventDefault();
   });

@@ -86,11 +86,13 @@ class Shown:
         ending = self.store.enough(run_id) or answers >= planned > 0
         asks = people and waiting > 0 and not ending
         trying = "finishing" if ending else "learning" if searched or answers else "warming up"
-        alone = "waiting" if asks else trying if self.store.trained(run_id) else "stopped"
+        trained = self.store.trained(run_id)
+        alone = "waiting" if asks else trying if trained else "stopped"
         return {
             "answers": answers,
             "planned": planned,
             "people": people,
+            "trained": trained,
             "open": waiting if asks else 0,
             "episodes": len(facts),
             "sure": sum(foreseen) / len(foreseen) if foreseen else None,
@@ -126,13 +128,15 @@ class Shown:
         }
 
     def answers(self, run_id: str) -> list[Plain]:
-        """All that was said, with whether the learned reward is of the same opinion."""
+        """All that was said, with whether the learned reward is of the same opinion, where it has heard it."""
         facts = [facts for _, facts in self.store.episodes(run_id)]
         latest = next((one for one in reversed(facts) if "disagrees" in one), {})
         agrees = dict.fromkeys(latest.get("agrees", []), True) | dict.fromkeys(latest.get("disagrees", []), False)
         questions = {question.k: question for question in self.store.questions(run_id)}
-        newest = {row.k: row for row in self.store.answers(run_id)}
-        return [self._answer(row, questions[k], agrees.get(k)) for k, row in sorted(newest.items())]
+        given = self.store.answers(run_id)
+        heard = latest.get("heard", len(given))  # which old stores do not tell
+        newest = {row.k: (row, agrees.get(row.k) if i < heard else None) for i, row in enumerate(given)}
+        return [self._answer(row, questions[k], verdict) for k, (row, verdict) in sorted(newest.items())]
 
     def _answer(self, row: AnswerRow, question: QuestionRow, agrees: bool | None) -> Plain:
         clips = [{"trajectory": clip.of, "start": clip.start, "steps": clip.length} for clip in question.clips]
@@ -142,6 +146,7 @@ class Shown:
             "answer": row.answer.plain(),
             "swapped": row.swapped,
             "at": row.created_at.isoformat(timespec="seconds"),
+            "sided": row.answer.side != 0,
             "agrees": agrees,
             "clips": clips,
         }
