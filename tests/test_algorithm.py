@@ -259,6 +259,22 @@ def test_a_policy_that_was_lucky_once_is_found_out(runs, world):
     assert int(chosen) == best and int(steps) == 31 * TINY.confirmations
 
 
+def test_the_better_half_is_executed_more_often(runs, world):
+    run = runs[0][-1]
+    *_, fourth, third, second, best = ranked(run)
+    fate = Scripted(world, run, {best: [fourth], second: [third], third: [best], fourth: [second]})
+    chosen, steps = confirmed(run, fate, replace(TINY, confirmations=20), key=jr.key(0))
+    assert int(chosen) == third and int(steps) == 20 * 31
+    assert [fate.log.count(i) for i in (best, second, third, fourth)] == [3, 3, 7, 7]
+
+
+def test_one_policy_alone_is_not_executed_again(runs, world):
+    run = runs[0][TINY.warm_up]
+    assert len(ranked(run)) == 1
+    chosen, steps = confirmed(run, Scripted(world, run, {}), replace(TINY, confirmations=20), key=jr.key(0))
+    assert int(chosen) == ranked(run)[0] and int(steps) == 0
+
+
 def test_without_confirmations_the_rank_of_the_one_episode_counts(runs, world):
     run = runs[0][-1]
     chosen, steps = confirmed(run, Scripted(world, run, {}), replace(TINY, confirmations=0), key=jr.key(0))
