@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import base64
+import json
+import re
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -272,6 +274,31 @@ def test_a_goal_is_kept_in_the_judges_own_words(client, store: Store, run_id: st
     assert "<b>fast" not in text and "&lt;b&gt;fast" in text
 
 
+@pytest.mark.parametrize(
+    ("given", "kept"),
+    [
+        ("run\u00a0fast\u2028\n and \t far", "run fast and far"),  # as pasted from a page
+        ("\u0645\u06cc\u200c\u062f\u0648\u062f", "\u0645\u06cc\u200c\u062f\u0648\u062f"),  # Persian: runs
+        ("a \U0001f469\u200d\U0001f4bb", "a \U0001f469\u200d\U0001f4bb"),
+    ],
+)
+def test_words_of_all_languages_are_taken(client, store: Store, run_id: str, given: str, kept: str):
+    assert client.post(f"/api/runs/{run_id}/goal", json={"goal": given}).json() == {"goal": kept}
+    says(client, run_id, asked(client, run_id, given), choice(True), given)
+    assert store.goal(run_id) == kept and [row.judge for row in store.answers(run_id)] == [kept]
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [("run\u200bfast", r"what is wanted without the sign U\+200B"), ("a\x00b", r"U\+0000"), ("\ud800", r"U\+D800")]
+    + [(given, "what is wanted in 1 to 500 letters") for given in ("", " \u00a0", "\u200d", "x" * 501)],
+)
+def test_why_words_are_refused_is_said(client, store: Store, run_id: str, given: str, why: str):
+    sent = json.dumps({"goal": given})
+    reply = client.post(f"/api/runs/{run_id}/goal", content=sent)
+    assert reply.status_code == 400 and re.search(why, reply.json()["error"]) and store.goal(run_id) is None
+
+
 @pytest.mark.parametrize("path", ["/", "/runs/{}", "/runs/{}/teach", "/runs/{}/review"])
 def test_every_page_is_whole_and_allows_no_foreign_script(client, run_id: str, path: str):
     response = client.get(path.format(run_id))
@@ -351,6 +378,18 @@ def test_what_another_site_sends_is_refused(client, store: Store, run_id: str, h
     told = {"k": 1, "judge": "a", "swapped": False, "answer": {"form": "equal"}}
     assert client.post(f"/api/runs/{run_id}/answers", json=told, headers=headers).status_code == 403
     assert not store.answers(run_id)
+
+
+def test_what_is_too_large_is_refused_though_it_did_not_say_so(client, outside, run_id: str):
+    for path in (f"/api/runs/{run_id}/answers", "/enter"):
+        reply = client.post(path, content=(b" " * 8000 for _ in range(3)))
+        assert reply.status_code == 413 and "large" in reply.text
+
+
+def test_half_a_sign_is_told_of_in_whole_ones(client, store: Store, run_id: str):
+    said = b'{"k": 1, "judge": "a", "answer": {"form": "equal", "\\ud800": 1}}'
+    reply = client.post(f"/api/runs/{run_id}/answers", content=said)
+    assert reply.status_code == 400 and "ud800" in reply.json()["error"] and not store.answers(run_id)
 
 
 def test_another_name_for_this_machine_is_refused(client):

@@ -21,7 +21,7 @@ export function named() {
 
 export function call(it) {
   known = true;
-  name = it.trim().slice(0, 60) || "me";
+  name = [...it.replace(/\s+/g, " ").trim()].slice(0, 60).join("") || "me"; // as the server keeps it
   try {
     localStorage.setItem(KEY, name);
   } catch {

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -95,7 +96,9 @@ class Guard:
             nonlocal read
             message = await receive()
             read += len(message.get("body", b""))
-            return {"type": "http.disconnect"} if read > LARGEST else message  # it said less than it sent
+            if read > LARGEST:  # it did not say how much it sends, or less
+                raise HTTPException(413, "That is too large.")
+            return message
 
         async def guarded(message: Message) -> None:
             if message["type"] == "http.response.start":

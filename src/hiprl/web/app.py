@@ -31,6 +31,7 @@ from hiprl.web.shown import Shown, taught_by_people, turned
 HERE = Path(__file__).parent
 RUN = re.compile(r"[a-z0-9-]{1,80}")
 LONGEST_NAME, LONGEST_GOAL = 60, 500  # letters
+JOINERS = "\u200c\u200d"  # cannot be seen, and belong into words: of Persian, and between the parts of an emoji
 LOOK = 1.0  # seconds between two looks for news
 STAY = 15.0  # seconds after which a word is sent to a page, so that the line stays open
 
@@ -128,10 +129,7 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
         return {"new": new, "progress": shown.lately(run_id, seconds=0.0)}
 
     def goal(request: Request, body: dict[str, Any]) -> Any:
-        run_id, words = run_of(request), body.get("goal")
-        words = " ".join(words.split()) if isinstance(words, str) and words.isprintable() else ""
-        if not 0 < len(words) <= LONGEST_GOAL:
-            raise HTTPException(400, f"Say what is wanted in 1 to {LONGEST_GOAL} letters.")
+        run_id, words = run_of(request), words_of(body.get("goal"), LONGEST_GOAL, "what is wanted")
         store.set_goal(run_id, words)
         return {"goal": words}
 
@@ -193,6 +191,7 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
             status, words = error.status_code, str(error.detail)
         elif isinstance(error, HiprlError):
             status, words = (400 if isinstance(error, InputError) else 503), str(error)
+        words = words.encode(errors="backslashreplace").decode()  # what was sent may hold half a sign
         if request.url.path.startswith("/api/"):
             return JSONResponse({"error": words}, status)
         told = {"status": status, "title": "Not here" if status == 404 else "That did not work", "text": words}
@@ -249,10 +248,19 @@ def form_of(body: bytes) -> dict[str, str]:
 
 def name_of(given: Any) -> str:
     """A judge's name."""
-    name = " ".join(given.split()) if isinstance(given, str) and given.isprintable() else ""
-    if not 0 < len(name) <= LONGEST_NAME:
-        raise HTTPException(400, f"Say who answers, in 1 to {LONGEST_NAME} letters.")
-    return name
+    return words_of(given, LONGEST_NAME, "who answers")
+
+
+def words_of(given: Any, longest: int, what: str) -> str:
+    """Somebody's own words, on one line, with a space wherever there was any."""
+    words = " ".join(given.split()) if isinstance(given, str) else ""
+    seen = "".join(sign for sign in words if sign not in JOINERS)
+    hidden = next((sign for sign in seen if not sign.isprintable()), None)
+    if hidden is not None:
+        raise HTTPException(400, f"Say {what} without the sign U+{ord(hidden):04X}, which cannot be seen.")
+    if not seen or len(words) > longest:
+        raise HTTPException(400, f"Say {what} in 1 to {longest} letters.")
+    return words
 
 
 def there(path: str) -> str:
