@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import socket
 import subprocess
 import time
@@ -9,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from hiprl.cli import teaching
+from hiprl.cli import serving, teaching
 from hiprl.cli.commands import Resume, Teach
 from hiprl.cli.serving import known_as
 from hiprl.cli.training import typed
@@ -25,6 +27,43 @@ def test_clips_of_no_steps_are_whole_episodes(tmp_path: Path, monkeypatch: pytes
     for clip in (0, 30, None):
         teaching.teach(Teach(env="linear", clip=clip, port=0, store=store))
     assert [spec.config.question.clip for spec in asked] == [None, 30, 50]
+
+
+def test_most_answers_are_about_what_was_searched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(teaching, "follow", lambda store, run_id, *_: asked.append(spec_of(store, run_id)) or {})
+    for K in (2, 8, 16, 30, 90):
+        teaching.teach(Teach(env="linear", comparisons=K, port=0, store=str(tmp_path / "runs.db")))
+    assert [spec.config.warm_up for spec in asked] == [2, 2, 5, 10, 10]
+
+
+@pytest.mark.parametrize("where", [{"port": 99999}, {"host": "203.0.113.7", "port": 8790}])
+def test_a_page_that_cannot_be_there_leaves_no_run(tmp_path: Path, where: dict) -> None:
+    path = tmp_path / "runs.db"
+    with pytest.raises(InputError, match="port"):
+        teaching.teach(Teach(env="linear", store=str(path), **where))
+    assert not path.exists()
+
+
+def test_the_page_stays_until_the_end_was_heard_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    waited = []
+    final = {"env": "linear", "comparisons": 6, "wall_seconds": 1.0, "return_mean": None}
+    monkeypatch.setattr(teaching, "taught", lambda *_, **more: final)
+    monkeypatch.setattr(teaching.time, "sleep", waited.append)
+    monkeypatch.setattr(teaching.sys, "stdin", io.StringIO())
+    monkeypatch.setattr(teaching, "page", lambda *_: contextlib.nullcontext())
+    for port in (0, 8790):
+        teaching.teach(Teach(env="linear", comparisons=6, port=port, store=str(tmp_path / "runs.db")))
+    assert waited == [teaching.HEARD]
+
+
+def test_words_on_a_terminal_take_the_place_of_the_live_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    for terminal in (True, False):
+        err = io.StringIO()
+        err.isatty = lambda terminal=terminal: terminal
+        monkeypatch.setattr(serving.sys, "stderr", err)
+        serving.say("Open it")
+        assert err.getvalue() == ("\r\x1b[KOpen it\n" if terminal else "Open it\n")
 
 
 def test_imagined_clips_are_asked_for_where_they_can_be_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,6 +34,7 @@ WITH_PARENT = "HIPRL_WITH_PARENT"
 TRACEBACK = "HIPRL_TRACEBACK"
 """Set where what goes wrong in a request is to be seen here too: any program that hangs up too soon is such a thing."""
 TRIED_PORTS = 20
+CLEARED = "\r\x1b[K"  # what a terminal begins a line anew by
 LOOKING = 75  # seconds that a line stays open for the next answer: a person looks at a pair for longer than a script
 
 
@@ -149,5 +150,5 @@ def end_with_input(server: uvicorn.Server) -> None:
 
 
 def say(words: str) -> None:
-    """Words for a person, on stderr."""
-    print(words, file=sys.stderr, flush=True)
+    """Words for a person, on stderr; on a terminal in place of the line that a trainer keeps up to date there."""
+    print(CLEARED * sys.stderr.isatty() + words, file=sys.stderr, flush=True)

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -27,14 +28,16 @@ from hiprl.teaching import taught
 from hiprl.world.build import world_from
 from hiprl.world.task import World
 
-WARM_UP = 10  # episodes of random actions: enough pairs for the first questions, also where episodes are short
+WARM_UP = 10  # episodes of random actions at most: enough pairs for the first questions, also where episodes are short
+HEARD = 3.0  # seconds that the page stays at the end where nobody can say when: those who look at it hear of the end
 
 
 def teach(command: Teach) -> Facts:
     """Begins a run that people teach, with its page; gives its summary."""
+    refuse_address(command)
     world = world_from(command.env, horizon=command.horizon, terminates=command.terminates)
     K = command.comparisons
-    config = teachable(Config(comparisons=K, warm_up=min(WARM_UP, K)))
+    config = teachable(Config(comparisons=K, warm_up=max(2, min(WARM_UP, K // 3))))
     if command.clip is not None:
         config = replace(config, question=replace(config.question, clip=command.clip or None))
     if command.imagined:
@@ -47,6 +50,12 @@ def teach(command: Teach) -> Facts:
             store.set_goal(run_id, command.goal)
         with page(run_id, store, command):
             return follow(store, run_id, world, command)
+
+
+def refuse_address(command: Teach | Resume) -> None:
+    """Raises InputError if no page can be where it is to be: better before a run is stored than after."""
+    if command.port != 0:
+        listening(command.host, command.port).close()
 
 
 def refuse_unseen(world: World) -> None:
@@ -78,10 +87,10 @@ def resume(store: Store, row: RunRow, command: Resume) -> Facts:
 @contextlib.contextmanager
 def page(run_id: str, store: Store, command: Teach | Resume) -> Iterator[None]:
     """The page, in a process of its own, for as long as this one lives; where it ends before, that is said."""
+    refuse_address(command)
     if command.port == 0:
         yield
         return
-    listening(command.host, command.port).close()  # what is wrong with them is better said at once
     words = [sys.executable, "-m", "hiprl", "serve", run_id, "--store", command.store]
     words += ["--host", command.host, "--port", str(command.port)] + ([] if command.no_browser else ["--browser"])
     own = os.environ | {WITH_PARENT: "1"}
@@ -133,7 +142,10 @@ def follow(store: Store, run_id: str, world: World, command: Teach | Resume) -> 
         world.close()
     tell(console, outcome(summary))
     tell(console, f"Next: {typed('show', run_id, store, command)}")
-    if sys.stdin.isatty() and command.port:
+    if command.port:
         with contextlib.suppress(KeyboardInterrupt, EOFError):
-            input("The page stays open; press Enter to end. ")
+            if sys.stdin.isatty():
+                input("The page stays open; press Enter to end. ")
+            else:
+                time.sleep(HEARD)
     return summary
