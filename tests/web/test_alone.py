@@ -38,6 +38,13 @@ def test_it_plays_in_a_browser(tmp_path: Path):
         page.wait_for_selector("#player canvas", timeout=60_000)
         page.wait_for_timeout(500)
         assert "Hopper" in page.inner_text("#player") and not troubles
+        playing = lambda: page.get_attribute(".hp-play", "aria-label") == "Pause"
+        for hand in (lambda: page.keyboard.press(" "), lambda: page.click("canvas"), lambda: page.click(".hp-play")):
+            was = playing()
+            hand()
+            assert playing() != was
+            page.keyboard.press(" ")
+            assert playing() == was
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is here (Debian: apt-get install chromium)")

@@ -411,6 +411,55 @@ def test_while_there_is_nothing_new_a_doubtful_answer_is_looked_at_again(served:
         assert len(served.store.answers(served.run_id)) == 7
 
 
+def test_what_it_does_now_is_told_where_there_is_nothing_to_see(served: Served):
+    run_id = a_taught_run(served.store, trajectories=1, questions=0)
+    words = "It has tried nothing yet by what you taught it."
+    page = served.tab("/teach")
+    page.goto(f"{served.home}/runs/{run_id}/teach")
+    page.keyboard.press("Escape")
+    page.wait_for_selector("#teach[data-mode=waiting]")
+    assert page.inner_text("#stage") == words
+    page.goto(f"{served.home}/runs/{run_id}")
+    page.wait_for_selector("#now-nothing:not([hidden])")
+    assert page.inner_text("#now-nothing") == words
+    page.goto(f"{served.home}/runs/{served.run_id}")
+    page.wait_for_selector("#now canvas")
+    assert not page.is_visible("#now-nothing")
+
+
+def test_nothing_is_nothing_on_an_axis(served: Served):
+    for k, told in enumerate((-0.6, 0.2), 1):
+        served.store.finish_episode(served.run_id, k, {"k": k, "true_return": told}, b"%d" % k)
+    page = served.tab("")
+    page.wait_for_selector("#truth-chart svg")
+    ticks = page.locator("#truth-chart .tick").all_text_contents()
+    assert "0" in ticks and not any("e-" in tick for tick in ticks)
+
+
+def test_a_long_goal_leaves_room_on_a_phone(served: Served):
+    served.store.set_goal(served.run_id, "go along " * 22)
+    page = served.tab("/teach")
+    page.set_viewport_size({"width": 390, "height": 844})
+    served.shown(page)
+    goal = page.evaluate("() => document.getElementById('goal').getBoundingClientRect().height")
+    line = page.evaluate("() => parseFloat(getComputedStyle(document.getElementById('goal')).lineHeight)")
+    assert goal < 3.5 * line
+
+
+def test_a_chosen_step_is_told_from_one_that_is_pointed_at(served: Served):
+    page = served.tab("/teach")
+    served.press(page, "2")
+    page.keyboard.press("z")
+    page.wait_for_selector("#strip [aria-pressed=true]")
+    page.hover("#strip [data-step='1']")
+    page.wait_for_timeout(300)
+    look = lambda step: page.evaluate(
+        "step => { const look = getComputedStyle(document.querySelector(step)); return look.boxShadow }", step
+    )
+    width = lambda step: max(float(x) for x in re.findall(r"([\d.]+)px inset", look(step)))
+    assert width("#strip [data-step='2']") > width("#strip [data-step='1']")
+
+
 def test_progress_and_the_list_of_runs_are_there(served: Served):
     page = served.tab("")
     page.wait_for_selector("main")

@@ -9,7 +9,7 @@ const MARGIN = { top: 14, right: 14, bottom: 34, left: 52 };
 function ticks(lo, hi, about) {
   const step = nice((hi - lo) / about);
   const out = [];
-  for (let v = Math.ceil(lo / step - 1e-9) * step; v <= hi + step * 1e-6; v += step) out.push(Number(v.toPrecision(10)));
+  for (let i = Math.ceil(lo / step - 1e-9); i * step <= hi + step * 1e-6; i++) out.push(Number((i * step).toPrecision(10)));
   return out;
 }
 

@@ -30,10 +30,11 @@ function button(className, label, text) {
 class Player {
   /**
    * scene: as from the server. clips: what to show. titles: a name for each clip. title: of the whole.
-   * bar: whether there are controls. onPick(index): a clip was clicked. onChange(): something about playing changed.
+   * nothing: what is said where there is no clip. bar: whether there are controls. onPick(index): a clip was clicked. onChange(): something about playing changed.
    */
-  constructor(element, { scene, clips = [], titles = [], title = "", bar = true, onPick = null, onChange = null }) {
+  constructor(element, { scene, clips = [], titles = [], title = "", nothing = "", bar = true, onPick = null, onChange = null }) {
     this.scene = scene;
+    this.nothing = nothing;
     this.onPick = onPick;
     this.onChange = onChange;
     this.stage = stageOf(scene);
@@ -109,6 +110,7 @@ class Player {
       this.cells.append(figure);
       return { figure, canvas, caption, ended };
     });
+    if (!this.clips.length && this.nothing) this.cells.append(make("p", "hp-none", this.nothing));
   }
 
   #pointer(canvas, index) {

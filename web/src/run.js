@@ -104,6 +104,7 @@ export async function progress(run) {
 
   async function now() {
     const got = await server.now();
+    find("now-nothing").hidden = Boolean(got.clip);
     if (!got.clip || got.clip.trajectory === shown) return;
     shown = got.clip.trajectory;
     scene ??= await server.scene();

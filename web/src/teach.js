@@ -5,7 +5,7 @@ import { announce, find, write } from "./dom.js";
 import { early, film } from "./film.js";
 import { call, judge, named } from "./judge.js";
 import { level, Strip } from "./strip.js";
-import { foreseen, helping, many, meanwhile, names, said, whenStacked } from "./words.js";
+import { foreseen, helping, many, meanwhile, names, NOTHING, said, whenStacked } from "./words.js";
 
 const POLL = 1000; // milliseconds between looks for a question
 const LINGER = 600; // the old pair stays so long before the page says that it waits
@@ -45,6 +45,7 @@ class Teaching {
       this.scene = await this.api.scene();
       this.player = await film(find("stage"), {
         scene: this.scene,
+        nothing: NOTHING,
         onPick: (i, event) => this.#meant(event) && this.pick(i),
         onChange: (player) => this.#follow(player),
       });

@@ -36,6 +36,9 @@ export function said(answer, count = 2) {
   }
 }
 
+/** Where what it does now would be shown. */
+export const NOTHING = "It has tried nothing yet by what you taught it.";
+
 /** "1 answer", "2 answers". */
 export function many(n, what) {
   return `${n} ${what}${n === 1 ? "" : "s"}`;

@@ -15,7 +15,12 @@ from hiprl.web.shown import as_text
 STATIC = Path(__file__).parent / "static"
 START = """
 const told = JSON.parse(document.getElementById("told").textContent);
-window.hiprlPlayer(document.getElementById("player"), told);
+const player = window.hiprlPlayer(document.getElementById("player"), { ...told, onPick: () => player.toggle() });
+document.addEventListener("keydown", (event) => {
+  if (event.key !== " " || event.repeat || event.target !== document.body) return;
+  event.preventDefault();
+  player.toggle();
+});
 """
 PAGE = """<!doctype html>
 <html lang="en">

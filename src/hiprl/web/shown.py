@@ -23,6 +23,7 @@ Plain = dict[str, Any]
 RECENT = 10  # answers by which it is told how many are foreseen
 LITTLE = 0.01  # share of the best: an answer worth less is hardly worth giving
 IN_A_ROW = 3
+EARLY = 3  # episodes after whose answers it is told how many are foreseen
 NOW = 100  # steps of the clip that shows what it does now
 TOLD = ("k", "comparisons", "true_return", "return_by_reward", "worth", "foreseen", "coverage", "length", "searched")
 
@@ -95,7 +96,7 @@ class Shown:
             "trained": trained,
             "open": waiting if asks else 0,
             "episodes": len(facts),
-            "sure": sum(foreseen) / len(foreseen) if foreseen else None,
+            "sure": sum(foreseen) / len(foreseen) if len(foreseen) >= EARLY else None,
             "worth": worth[-1] if worth else None,
             "enough": len(worth) >= IN_A_ROW and max(worth[-IN_A_ROW:]) < LITTLE,
             "state": "finished" if done else alone,
