@@ -51,7 +51,7 @@ class Config:
     """Begin each search at the executed policy that r̂ ranks best; False: at the newest one (the paper)."""
     practice: int = 0
     """Episodes after each answer that nobody is asked about. They cost steps and time, and no answers."""
-    confirmations: int = 20
+    confirmations: int = 40
     """Episodes after the last answer in which what r̂ ranks best is executed again, so that luck does not win."""
     dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
     """The model of the world."""
@@ -82,7 +82,7 @@ class Config:
         if self.confirmations < 0:
             raise InputError(
                 f"got {self.confirmations} confirmations; the number of episodes in which the best policies are tried "
-                "again is 0 or more. Take 20."
+                "again is 0 or more. Take 40."
             )
         if self.optimism not in OPTIMISM:
             raise InputError(

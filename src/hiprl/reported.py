@@ -16,7 +16,7 @@ from hiprl.data.trajectory_set import Trajectories
 from hiprl.types import Actor, Count, Key
 from hiprl.world.task import World
 
-EACH = 5  # confirmations for each policy that r̂ ranks best: fewer policies, and the lucky ones win less often
+EACH = 5  # confirmations for each of the policies among which they choose
 
 
 def confirmed(run: Run, world: World, config: Config, *, key: Key) -> tuple[Count, Count]:
