@@ -194,6 +194,35 @@ def test_the_next_pair_waits_for_no_fit_and_the_last_pairs_for_something_new(tmp
         assert asking.most() == 6 and store.claim(run_id, "ada").k == 5
 
 
+def test_where_all_pairs_are_answered_something_new_is_tried_first(tmp_path):
+    path = str(tmp_path / "runs.db")
+    run_id = begun(path, replace(CONFIG, question=replace(CONFIG.question, clip=None)))
+    with open_store(path) as store:
+        asking = asking_of(store, run_id)
+        taus = asking.known.run.T
+        asking.known = Known(eqx.tree_at(lambda run: run.T.count, asking.known.run, 2))
+        asking.ask()
+        assert len(store.questions(run_id)) == 1 and not asking.exhausted  # two trajectories, one pair: it is open
+        store.answer(run_id, 1, level(2, 5), "ada")
+        asking.ask()
+        assert len(store.questions(run_id)) == 1 and asking.exhausted
+        asking.known = Known(eqx.tree_at(lambda run: run.T, asking.known.run, taus))
+        asking.ask()
+        assert len(store.questions(run_id)) > 1
+
+
+def test_two_answers_are_enough_to_end(tmp_path):
+    path = str(tmp_path / "runs.db")
+    question = replace(CONFIG.question, clip=None)
+    run_id = begun(path, replace(CONFIG, comparisons=2, warm_up=2, question=question))
+    judge = Judge(path, run_id)
+    judge.start()
+    summary = teach(path, run_id)
+    judge.stop.set()
+    judge.join()
+    assert summary["comparisons"] == 2
+
+
 def test_there_is_a_pair_for_each_who_looks(tmp_path):
     path = str(tmp_path / "runs.db")
     run_id = begun(path)

@@ -110,6 +110,8 @@ class Asking:
         """Who answered, and how often each errs, where there are several."""
         self.trainer_waits = False
         """Whether nothing is tried before the next answer: then no question is kept for later."""
+        self.exhausted = False
+        """Whether all pairs that there are were asked and answered: something has to be tried before the next one."""
         self.stop = threading.Event()
         self.failed: BaseException | None = None
         self._seen: dict[int, Any] | None = None
@@ -156,6 +158,7 @@ class Asking:
         while asked < self.most() and self.store.unseen(self.row.id) < OPEN and not self.stop.is_set():
             new = self._ask_again(asked + 1, questions) or self._ask(asked + 1, before)
             if new is None:
+                self.exhausted = asked == self.store.asked(self.row.id)[1]
                 break
             asked += 1
             before.add(new)
@@ -278,8 +281,8 @@ def taught(
                 if not to_come and resting and not asking.behind():
                     break
                 warm = lived_so_far >= config.warm_up
-                few = warm and to_come > 0 and heard < FIRST
-                pauses = few or resting
+                few = warm and to_come > 0 and heard < FIRST and not asking.exhausted
+                pauses = few or (resting and not (room and asking.exhausted))
                 asking.trainer_waits = pauses and not few
                 before, waits = waits, "" if not pauses else "the first answers" if few else "an answer"
                 if waits != before:
@@ -288,6 +291,7 @@ def taught(
                     time.sleep(LOOK)
                     continue
                 practised(store, run_id, known, world, config, asking, watch, key=key)
+                asking.exhausted = False
                 idle = 0 if not warm or news(known.run) else idle + 1
                 lease.renew()
         return conclude(store, run_id, known.run, world, spec, key=key)

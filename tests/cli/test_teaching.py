@@ -34,7 +34,7 @@ def test_most_answers_are_about_what_was_searched(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(teaching, "follow", lambda store, run_id, *_: asked.append(spec_of(store, run_id)) or {})
     for K in (2, 8, 16, 30, 90):
         teaching.teach(Teach(env="linear", comparisons=K, port=0, store=str(tmp_path / "runs.db")))
-    assert [spec.config.warm_up for spec in asked] == [2, 2, 5, 10, 10]
+    assert [spec.config.warm_up for spec in asked] == [2, 4, 5, 10, 10]
 
 
 @pytest.mark.parametrize("where", [{"port": 99999}, {"host": "203.0.113.7", "port": 8790}])

@@ -24,7 +24,7 @@ from hiprl.errors import InputError
 from hiprl.session import RunSpec, spec_of, start
 from hiprl.store.rows import RunRow
 from hiprl.store.store import Store
-from hiprl.teaching import taught
+from hiprl.teaching import FIRST, taught
 from hiprl.world.build import world_from
 from hiprl.world.task import World
 
@@ -37,7 +37,7 @@ def teach(command: Teach) -> Facts:
     refuse_address(command)
     world = world_from(command.env, horizon=command.horizon, terminates=command.terminates)
     K = command.comparisons
-    config = teachable(Config(comparisons=K, warm_up=max(2, min(WARM_UP, K // 3))))
+    config = teachable(Config(comparisons=K, warm_up=max(min(FIRST, K), min(WARM_UP, K // 3))))
     if command.clip is not None:
         config = replace(config, question=replace(config.question, clip=command.clip or None))
     if command.imagined:
