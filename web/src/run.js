@@ -96,7 +96,7 @@ export async function progress(run) {
     const gone = it.state === "stopped";
     write(find("helping"), gone ? stopped(run, it.people) : helping(it));
     for (const id of ["sure", "helping"]) find(id).hidden = !find(id).textContent;
-    if (find("go-on")) find("go-on").hidden = it.state === "finished";
+    if (find("go-on")) find("go-on").hidden = ["finished", "stopped"].includes(it.state);
     write(find("state"), { stopped: "Not running", "warming up": "Trying out movements", waiting: "Waiting for your answers", learning: "Practising", finishing: "Practising for the last time", finished: "Finished" }[it.state] ?? it.state);
     find("state").dataset.state = it.state;
     if (it.goal) write(find("goal"), it.goal);
