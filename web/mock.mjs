@@ -82,7 +82,7 @@ const question = (run, k, answer = null) => ({
 const state = (run) => (run.done ? "finished" : Date.now() < run.ready || run.delay > 1e6 ? "learning" : "waiting");
 const progress = (run) => {
   const n = run.answers.length;
-  return { answers: n, planned: run.planned, open: 1, episodes: n + 5, sure: n > 3 ? 0.8 : null, worth: 0.3 / (n + 1), enough: false, state: state(run), goal: run.goal };
+  return { answers: n, planned: run.planned, open: 1, episodes: n + 5, sure: n > 3 ? 0.8 : null, worth: 0.3 / (n + 1), enough: false, state: state(run), people: true, trained: true, goal: run.goal };
 };
 const facts = (run) => ({
   run: run.name, env: run.env, goal: run.goal, finished: Boolean(run.done), planned: run.planned, pictures: [],
@@ -150,7 +150,7 @@ createServer(async (req, res) => {
       return reply(res, 200, { question: last ? question(run, last.k, last.answer) : null });
     }
     case "now": return reply(res, 200, { clip: run.clips[1], episode: run.answers.length + 5 });
-    case "answers": return reply(res, 200, run.answers.map((a) => ({ ...a, clips: question(run, a.k).clips.map(({ trajectory, start, steps }) => ({ trajectory, start, steps })) })));
+    case "answers": return reply(res, 200, run.answers.map((a) => ({ ...a, sided: ["choice", "level"].includes(a.answer.form), clips: question(run, a.k).clips.map(({ trajectory, start, steps }) => ({ trajectory, start, steps })) })));
     case "questions": return reply(res, 200, { question: question(run, Number(path[4])) });
     case "facts": return reply(res, 200, facts(run));
     case "events": {
