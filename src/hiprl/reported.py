@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import cycle, islice
 
 import jax.numpy as jnp
 import jax.random as jr
@@ -23,25 +22,27 @@ def confirmed(run: Run, world: World, config: Config, *, key: Key) -> tuple[Coun
     """Which policy of the archive to report, and how many steps it took to be sure.
 
     A policy that was lucky in its one episode should not win, nor one that owes its luck to the noise in its actions.
-    The few that r̂ ranks best are executed again, in turn and without noise; the better half of them by the mean of
-    these stays, and so on, with as many of the `confirmations` in each round, until one is left. No question is asked.
+    The few that r̂ ranks best are executed again without noise; the better half of them by the mean of these stays, and
+    so on, with as many of the `confirmations` in each round, until one is left. All meet the same draws (where an
+    episode begins, noise in the world), so that what differs is theirs. No question is asked about these episodes.
 
     Source: sequential halving, Karnin et al. (2013), "Almost optimal exploration in multi-armed bandits".
     """
     returns = np.asarray(run.reward.returns(run.T))
     ranked = sorted(map(int, np.flatnonzero(run.archive.filled)), key=lambda i: -returns[i]) or [0]
     left = config.confirmations
-    alive = ranked[: max(2, left // EACH)] if left else ranked[:1]
+    alive = ranked[: max(2, left // EACH)] if left > 1 else ranked[:1]
+    draws = list(jr.split(key, left)) if left else []
     executed: dict[int, list[float]] = {i: [] for i in alive}
-    keys = iter(jr.split(key, left)) if left else iter(())
     steps = jnp.zeros((), jnp.int32)
     for rounds in range(math.ceil(math.log2(len(alive))), 0, -1):
-        for i in islice(cycle(alive), left // rounds):
-            tau = world.roll_out(actor_of(run, i, world, config), key=next(keys))
+        each = max(1, left // rounds // len(alive))
+        left -= each * len(alive)
+        for i in alive * each:
+            tau = world.roll_out(actor_of(run, i, world, config), key=jr.clone(draws[len(executed[i])]))
             alone = Trajectories.empty(1, H=world.H, p=world.p, q=world.q).add(tau)
             executed[i].append(float(run.reward.returns(alone)[0]))
             steps += tau.length
-        left -= left // rounds
         alive = sorted(alive, key=lambda i: np.mean(executed[i]), reverse=True)[: (len(alive) + 1) // 2]
     return jnp.asarray(alive[0], jnp.int32), steps
 

@@ -12,7 +12,6 @@ from hiprl.data.answer import (
     EQUAL,
     EQUALLY_GOOD,
     FORMS,
-    LARGEST,
     Answer,
     choice,
     level,
@@ -23,7 +22,7 @@ from hiprl.data.answer import (
 )
 from hiprl.errors import InputError
 
-finite = st.floats(-LARGEST, LARGEST)
+finite = st.floats(allow_nan=False, allow_infinity=False)
 scales = st.integers(2, 11).flatmap(lambda levels: st.tuples(st.integers(0, levels - 1), st.just(levels)))
 comparisons = st.one_of(
     finite.map(number),
@@ -119,13 +118,13 @@ def test_numbers_of_numpy_and_jax_become_plain(made, value):
 
 
 WRONG = [
-    ("number", None, None, "a number from -1e+15 to 1e+15 is needed"),
-    ("number", math.nan, None, "a number from -1e+15 to 1e+15 is needed"),
-    ("number", math.inf, None, "a number from -1e+15 to 1e+15 is needed"),
-    ("number", 10**400, None, "a number from -1e+15 to 1e+15 is needed"),
-    ("number", True, None, "a number from -1e+15 to 1e+15 is needed"),
-    ("number", "3", None, "a number from -1e+15 to 1e+15 is needed"),
-    ("number", 3.0, 5, "a number from -1e+15 to 1e+15 is needed"),
+    ("number", None, None, "a finite number is needed"),
+    ("number", math.nan, None, "a finite number is needed"),
+    ("number", math.inf, None, "a finite number is needed"),
+    ("number", 10**400, None, "a finite number is needed"),
+    ("number", True, None, "a finite number is needed"),
+    ("number", "3", None, "a finite number is needed"),
+    ("number", 3.0, 5, "a finite number is needed"),
     ("choice", 0, None, "1 for the first clip or -1"),
     ("choice", 0.5, None, "1 for the first clip or -1"),
     ("choice", True, None, "1 for the first clip or -1"),

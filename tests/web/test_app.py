@@ -333,10 +333,12 @@ def test_a_token_is_good_once_and_a_password_always(outside, doors: Doors):
 
 
 def test_who_came_in_is_known_to_every_page_on_the_store(client, store: Store, run_id: str, doors: Doors):
-    with TestClient(app_of(store, Doors(store.secret()), hosts=["testserver"]), follow_redirects=False) as later:
+    again = Doors(store.secret(), "open sesame")
+    with TestClient(app_of(store, again, hosts=["testserver"]), follow_redirects=False) as later:
         assert later.get(f"/runs/{run_id}").status_code == 303
         later.cookies.update(client.cookies)  # as after a stop and a resume
         assert later.get(f"/runs/{run_id}").status_code == 200
+    assert Doors(store.secret(), "another").cookie != Doors(store.secret()).cookie != doors.cookie  # a new lock
     other = Doors("of another store")
     assert other.cookie != doors.cookie and list(client.cookies) == [doors.cookie]
     with TestClient(app_of(store, other, hosts=["testserver"]), follow_redirects=False) as elsewhere:

@@ -19,7 +19,7 @@ EQUAL = 0.25
 MOST_LEVELS = 1001
 """More than anybody tells apart; for more there is the slider."""
 LARGEST = 1e15
-"""Of a number, either way: its square must be one too, in single precision."""
+"""Of a number that is taken in, either way: its square must be one too, in single precision."""
 SLIDER = 0.1
 """Half the width of a slider's answer: nobody sets it more exactly than to a tenth of either side."""
 
@@ -62,7 +62,7 @@ class Answer:
             return False
         match self.form:
             case "number":
-                return _is_number(x) and abs(x) <= LARGEST
+                return _is_number(x)
             case "choice":
                 return _is_number(x) and x in (-1, 1)
             case "slider":
@@ -125,9 +125,24 @@ class Answer:
             )
         return cls(form=plain["form"], value=plain.get("value"), levels=plain.get("levels"))
 
+    @classmethod
+    def taken(cls, plain: Mapping[str, Any]) -> Answer:
+        """`read` of what somebody sent: something that can be learned from.
+
+        Raises:
+            InputError: it is no answer, or a number too large.
+        """
+        answer = cls.read(plain)
+        if answer.form == "number" and abs(answer.value) > LARGEST:
+            raise InputError(
+                f"got the number {answer.value:g}; one from -{LARGEST:g} to {LARGEST:g} is needed. "
+                "Give all numbers of this judge in a larger unit."
+            )
+        return answer
+
 
 _NEEDED = {
-    "number": f"a number from -{LARGEST:g} to {LARGEST:g} is needed",
+    "number": "a finite number is needed",
     "choice": "1 for the first clip or -1 for the second is needed",
     "slider": "a number from -1 to 1 is needed",
     "level": "a level from -(levels - 1)/2 to (levels - 1)/2 in steps of 1 is needed, of 2 to 1001 levels",

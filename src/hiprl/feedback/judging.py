@@ -58,8 +58,8 @@ def checked(
             f"the judge raised {type(e).__name__}: {e}; it has to give one number for two trajectories, or an Answer. "
             "Mend the judge and resume the run: the question is still open."
         ) from e
-    if not isinstance(given, Answer):
-        g = _number(given)
+    if not isinstance(given, Answer) or given.form == "number":
+        g = _number(given.value if isinstance(given, Answer) else given)
         if g is None:
             raise JudgeError(
                 f"the judge answered {given!r}; one number is needed, positive where the first trajectory is better "

@@ -165,7 +165,7 @@ def _read(line: str, questions: dict[int, QuestionRow], run: RunRow, judge: str)
             f"got the judge {by!r} and swapped {swapped!r}; a name, and true or false, are needed. "
             "Leave both out if they are not known."
         )
-    answer = Answer.read(said)
+    answer = Answer.taken(said)
     refuse_unfitting(run.id, question.k, answer, len(question.clips))
     if run.numbers_only and answer.form != "number":
         raise InputError(

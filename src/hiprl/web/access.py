@@ -38,11 +38,12 @@ class Doors:
 
         Args:
             secret: the store's.
-            password: that lets in everybody who knows it.
+            password: that lets in everybody who knows it. Who came in with another one has to enter again.
             told: called with each token that opens the page once: a used one is followed by another.
         """
-        self._session, self._password, self._told = secret, password, told
-        self.cookie = f"hiprl-{hashlib.sha256(secret.encode()).hexdigest()[:6]}"
+        self._password, self._told = password, told
+        self._session = hmac.new(secret.encode(), (password or "").encode(), hashlib.sha256).hexdigest()
+        self.cookie = f"hiprl-{hashlib.sha256(self._session.encode()).hexdigest()[:6]}"
         """Its name: browsers share cookies among all ports of a machine, where pages on other stores may be."""
         self._lock = threading.Lock()
         self.token = secrets.token_urlsafe(24)

@@ -124,7 +124,7 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
         said, judge = body.get("answer"), name_of(body.get("judge", ""))
         if type(k) is not int or not 0 <= k < 1 << 31 or not isinstance(swapped, bool) or not isinstance(said, dict):
             raise HTTPException(400, "An answer has k, judge, swapped and answer.")
-        given = turned(Answer.read(said), swapped)
+        given = turned(Answer.taken(said), swapped)
         new = store.answer(run_id, k, given, judge, swapped=swapped)
         return {"new": new, "progress": shown.lately(run_id, seconds=0.0)}
 
