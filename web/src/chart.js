@@ -37,7 +37,7 @@ export function chart({ series, across, title, width = 640, height = 240, floor 
   for (const v of ticks(x0, x1, Math.max(2, width / 110))) {
     if (Number.isInteger(v)) svg.append(draw("text.tick", { x: x(v), y: height - 17, "text-anchor": "middle" }, String(v)));
   }
-  svg.append(draw("text.tick.axis", { x: width - MARGIN.right, y: height - 0.5, "text-anchor": "end" }, across));
+  svg.append(draw("text.tick.axis", { x: width - MARGIN.right, y: height - 3.5, "text-anchor": "end" }, across));
   series.forEach((s, i) => {
     if (!s.points.length) return;
     const path = s.points.map(([a, b], j) => `${j ? "L" : "M"}${x(a).toFixed(1)} ${y(b).toFixed(1)}`).join("");
