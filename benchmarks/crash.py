@@ -73,6 +73,17 @@ def answers(store: Path) -> list[tuple[int, float]]:
     return facts(store)["answers"] if run_in(store) is not None else []
 
 
+def finished(store: Path) -> bool:
+    """Whether nothing of the run is left to do."""
+    from hiprl.store.store import open_store
+
+    run = run_in(store)
+    if run is None:
+        return False
+    with open_store(store, create=False) as opened:
+        return opened.final(run) is not None
+
+
 def let_through(line: Sequence[str]) -> float:
     """Seconds of a run that nobody kills."""
     began = time.perf_counter()
@@ -146,6 +157,7 @@ def measure(options: argparse.Namespace, folder: Path, report: Report) -> list[s
             before, stuck = done, stuck + 1 if done == before else 0
             report.add(kill=len(report.rows) + 1, run=number, after_s=after, episodes_done=done, answers=len(now))
             progress(f"kill {len(report.rows)}: run {number} after {after:.1f} s, with {done} episodes done")
+            going = not finished(store)  # it may have been killed on its way out
         if going:
             let_through(command(options, store))
         found = facts(store)
