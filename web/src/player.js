@@ -180,6 +180,7 @@ class Player {
       held = false;
     };
     this.scrub.addEventListener("pointerdown", () => {
+      this.pause(); // also where it is taken just where it is
       held = true;
       addEventListener("pointerup", () => setTimeout(release), { once: true });
     });
