@@ -22,6 +22,8 @@ from tests.web.made import IMAGINED, a_taught_run
 from tests.web.trainer import CONFIG, begun
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is here (Debian: apt-get install chromium)")
+ANY_STORE = pytest.mark.parametrize("made", ["sqlite"], indirect=True)
+"""What a browser shows of the same answers does not depend on where they are kept."""
 PATIENCE = 60_000  # milliseconds, on a machine that does other things too
 
 
@@ -137,6 +139,7 @@ def test_a_person_answers_with_keys(served: Served):
     assert served.sizes and max(served.sizes) < 300_000
 
 
+@ANY_STORE
 def test_what_was_only_imagined_is_marked_so(served: Served):
     page = served.tab("/teach")
     for _ in range(3):
@@ -181,6 +184,7 @@ def test_a_person_has_had_enough(served: Served):
         page.wait_for_selector("#teach[data-mode=finished]")
 
 
+@ANY_STORE
 def test_a_page_tells_that_nobody_trains(served: Served):
     page = served.tab("/teach")
     for _ in range(6):
@@ -221,6 +225,7 @@ def test_the_first_visit_asks_what_is_wanted(made: str, store: Store, browser: A
         assert not served.troubles
 
 
+@ANY_STORE
 def test_each_judge_says_a_name_though_the_goal_is_set(served: Served):
     page = served.tab("/teach", judge=None)
     page.wait_for_selector("#setup[open]")
@@ -249,6 +254,7 @@ AGAIN = """where => new MutationObserver((_, observer) => {
 """Clicks again as soon as another question is there."""
 
 
+@ANY_STORE
 def test_a_double_click_answers_once(served: Served):
     page = served.tab("/teach")
     for done, where in enumerate(("#stage canvas", "#strip [data-step='2']", "#unsure")):
@@ -260,6 +266,7 @@ def test_a_double_click_answers_once(served: Served):
         assert len(served.store.answers(served.run_id)) == done + 1, where
 
 
+@ANY_STORE
 def test_keys_are_the_pages_again_after_the_mouse(served: Served):
     page = served.tab("/teach")
     k = served.shown(page)
@@ -283,6 +290,7 @@ def test_keys_are_the_pages_again_after_the_mouse(served: Served):
     assert page.evaluate("document.activeElement.className") == "hp-scrub"
 
 
+@ANY_STORE
 def test_nothing_moves_where_nobody_wants_it(served: Served):
     page = served.tab("/review")
     page.emulate_media(reduced_motion="reduce")
@@ -310,6 +318,7 @@ def test_an_answer_is_changed_in_review(served: Served):
     assert [row.answer for row in served.store.answers(served.run_id)][1:] == [level(0, 5)]
 
 
+@ANY_STORE
 def test_review_takes_the_same_keys_and_says_what_is_known(served: Served):
     served.store.answer(served.run_id, 1, choice(True), "ada")
     page = served.tab("/review")
@@ -392,6 +401,7 @@ def until(holds: Callable[[], bool]) -> None:
         time.sleep(0.1)
 
 
+@ANY_STORE
 def test_while_there_is_nothing_new_a_doubtful_answer_is_looked_at_again(served: Served):
     with served.store.lease(served.run_id):
         page = served.tab("/teach")
@@ -411,6 +421,7 @@ def test_while_there_is_nothing_new_a_doubtful_answer_is_looked_at_again(served:
         assert len(served.store.answers(served.run_id)) == 7
 
 
+@ANY_STORE
 def test_what_it_does_now_is_told_where_there_is_nothing_to_see(served: Served):
     run_id = a_taught_run(served.store, trajectories=1, questions=0)
     words = "It has tried nothing yet by what you taught it."
@@ -427,6 +438,7 @@ def test_what_it_does_now_is_told_where_there_is_nothing_to_see(served: Served):
     assert not page.is_visible("#now-nothing")
 
 
+@ANY_STORE
 def test_nothing_is_nothing_on_an_axis(served: Served):
     for k, told in enumerate((-0.6, 0.2), 1):
         served.store.finish_episode(served.run_id, k, {"k": k, "true_return": told}, b"%d" % k)
@@ -436,6 +448,7 @@ def test_nothing_is_nothing_on_an_axis(served: Served):
     assert "0" in ticks and not any("e-" in tick for tick in ticks)
 
 
+@ANY_STORE
 def test_a_long_goal_leaves_room_on_a_phone(served: Served):
     served.store.set_goal(served.run_id, "go along " * 22)
     page = served.tab("/teach")
@@ -446,6 +459,7 @@ def test_a_long_goal_leaves_room_on_a_phone(served: Served):
     assert goal < 3.5 * line
 
 
+@ANY_STORE
 def test_a_chosen_step_is_told_from_one_that_is_pointed_at(served: Served):
     page = served.tab("/teach")
     served.press(page, "2")
@@ -473,6 +487,7 @@ def serious(page: Any) -> list[str]:
     return [f"{one['id']}: {one['help']}" for one in found if one["impact"] in ("serious", "critical")]
 
 
+@ANY_STORE
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_nobody_is_kept_out(served: Served, scheme: str):
     page = served.tab("/teach")
