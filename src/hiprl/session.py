@@ -209,7 +209,7 @@ def one_episode(
 
     def ask(question: Question, run: Run, *, key: Key) -> Answer:
         times.append(time.perf_counter())
-        answer = asked(store, run_id, k, run, question, judging, config, key=key)
+        answer = asked(store, run_id, k, run, question, judging, key=key)
         times.append(time.perf_counter())
         return answer
 
@@ -234,9 +234,7 @@ def rows_of(new: Attempt, number: int) -> list[TrajectoryRow]:
     return [TrajectoryRow.of(tau, number=i, kind=kind) for i, tau in enumerate(taus, start=number)]
 
 
-def asked(
-    store: Store, run_id: str, k: int, run: Run, question: Question, judging: Judging, config: Config, *, key: Key
-) -> Answer:
+def asked(store: Store, run_id: str, k: int, run: Run, question: Question, judging: Judging, *, key: Key) -> Answer:
     """The answer to episode k's question, which is written down first: from the store if it is there, or the judge.
 
     Raises:
@@ -251,7 +249,7 @@ def asked(
             steps = min(int(jnp.max(question.clips.length)), T.rows.actions.shape[1])
             shown = tuple(T.clip(clip) for clip in question.shown)
             answer = checked(judging, shown, T, steps=steps, key=key)
-            if isinstance(config.reward, NetworkConfig) and answer.form != "number":
+            if answer.form != "number" and store.run(run_id).numbers_only:
                 raise JudgeError(
                     f"the judge gave an answer of the form {answer.form!r}; the paper's reward network learns from "
                     "numbers alone. Give one number and resume the run: the question is still open."

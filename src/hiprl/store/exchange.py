@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 from hiprl.data.answer import Answer
+from hiprl.data.words import hidden_in, seen_of
 from hiprl.errors import HiprlError, InputError
 from hiprl.store.once import refuse_unfitting
 from hiprl.store.rows import ClipRow, QuestionRow, RunRow
@@ -21,10 +22,6 @@ SCHEMA = "hiprl-answers"
 VERSION = 1
 ENTRIES = {"k", "clips", "answer", "judge", "swapped", "at"}
 """Of a line; all but k and the answer may be left out."""
-
-
-JOINERS = "\u200c\u200d"
-"""Zero-width letters that belong to words."""
 
 
 class Given(NamedTuple):
@@ -160,7 +157,7 @@ def _read(line: str, questions: dict[int, QuestionRow], run: RunRow, judge: str)
     if not isinstance(said, dict):
         raise InputError(f"got the answer {said!r}; an object with its form and value is needed. See `hiprl export`.")
     by, swapped = found.get("judge", judge), found.get("swapped", False)
-    if not isinstance(by, str) or not is_name(by) or not isinstance(swapped, bool):
+    if not isinstance(by, str) or not seen_of(by).strip() or hidden_in(by) or not isinstance(swapped, bool):
         raise InputError(
             f"got the judge {by!r} and swapped {swapped!r}; a name, and true or false, are needed. "
             "Leave both out if they are not known."
@@ -173,11 +170,6 @@ def _read(line: str, questions: dict[int, QuestionRow], run: RunRow, judge: str)
             "learns from numbers alone. Give the form `number`, or leave the line out."
         )
     return Given(question.k, answer, by, swapped)
-
-
-def is_name(by: str) -> bool:
-    """Whether somebody may be called so: it can be shown, and kept in any database."""
-    return bool(by.strip()) and all(x.isprintable() or x in JOINERS for x in by)
 
 
 def _clips(plain: Any) -> tuple[ClipRow, ...] | None:

@@ -23,6 +23,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.templating import Jinja2Templates
 
 from hiprl.data.answer import Answer
+from hiprl.data.words import hidden_in, seen_of
 from hiprl.errors import HiprlError, InputError
 from hiprl.store.store import Store
 from hiprl.web.access import OPEN_PATHS, Doors, Guard, foreign
@@ -31,7 +32,6 @@ from hiprl.web.shown import Shown, taught_by_people, turned
 HERE = Path(__file__).parent
 RUN = re.compile(r"[a-z0-9-]{1,80}")
 LONGEST_NAME, LONGEST_GOAL = 60, 500  # letters
-JOINERS = "\u200c\u200d"  # cannot be seen, and belong into words: of Persian, and between the parts of an emoji
 LOOK = 1.0  # seconds between two looks for news
 STAY = 15.0  # seconds after which a word is sent to a page, so that the line stays open
 
@@ -254,11 +254,10 @@ def name_of(given: Any) -> str:
 def words_of(given: Any, longest: int, what: str) -> str:
     """Somebody's own words, on one line, with a space wherever there was any."""
     words = " ".join(given.split()) if isinstance(given, str) else ""
-    seen = "".join(sign for sign in words if sign not in JOINERS)
-    hidden = next((sign for sign in seen if not sign.isprintable()), None)
+    hidden = hidden_in(words)
     if hidden is not None:
         raise HTTPException(400, f"Say {what} without the sign U+{ord(hidden):04X}, which cannot be seen.")
-    if not seen or len(words) > longest:
+    if not seen_of(words) or len(words) > longest:
         raise HTTPException(400, f"Say {what} in 1 to {longest} letters.")
     return words
 
