@@ -38,10 +38,10 @@ def filled(where: str, questions: int, *, env: str = ENV) -> str:
     import jax.numpy as jnp
     import jax.random as jr
 
-    from hiprl.config import PEOPLE, Config, teachable
+    from hiprl.config import Config, teachable
     from hiprl.control.policy import Uniform
     from hiprl.spec import to_plain
-    from hiprl.store.rows import ClipRow
+    from hiprl.store.rows import PEOPLE, ClipRow
     from hiprl.store.store import open_store
     from hiprl.world.build import world_from
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hiprl.config import CUSTOM, asking, paper
+from hiprl.config import asking, paper
 from hiprl.control.imagined import SearchReport
 from hiprl.data.answer import choice
 from hiprl.errors import FitDiverged, InputError, JudgeError, WorldError
@@ -14,6 +14,7 @@ from hiprl.feedback.judges import exact, judge_from
 from hiprl.feedback.judging import Judging
 from hiprl.report.evidence import evidence_of
 from hiprl.session import RunSpec, carry_on, finite_or_none, learned_actor, spec_of, start
+from hiprl.store.rows import CUSTOM
 from hiprl.store.store import open_store
 from hiprl.world.build import world_from
 from tests.whole.tasks import DREAMING, TINY, Blind
@@ -232,7 +233,10 @@ def test_what_the_papers_network_cannot_learn_from_is_not_taken(store):
     world = world_from("linear")
     config = replace(TINY, reward=paper("linear").reward)
     run_id = start(store, world, RunSpec(seed=3, config=config, judge=CUSTOM, eval_episodes=2))
-    with pytest.raises(JudgeError, match=r"form 'choice'; .* from numbers alone") as caught:
-        carry_on(store, run_id, world, judge_from(lambda tau, other: choice(True)))
-    assert "resume" in str(caught.value) and not store.answers(run_id) and store.questions(run_id, unanswered=True)
-    assert carry_on(store, run_id, world, exact)["comparisons"] == config.comparisons
+    for said in (["choice"], ["number", "choice"]):  # the second time, from where the first one stopped
+        answers = iter(said)
+        judge = judge_from(lambda tau, other, answers=answers: choice(True) if next(answers) == "choice" else 1.0)
+        with pytest.raises(JudgeError, match=r"form 'choice'; .* from numbers alone") as caught:
+            carry_on(store, run_id, world, judge)
+        assert "resume" in str(caught.value) and store.questions(run_id, unanswered=True)
+        assert [row.answer.form for row in store.answers(run_id)] == said[:-1]

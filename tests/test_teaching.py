@@ -14,7 +14,7 @@ import pytest
 
 from hiprl import teaching
 from hiprl.algorithm import lived
-from hiprl.config import PEOPLE, Config, teachable
+from hiprl.config import Config, teachable
 from hiprl.control.policy import Uniform
 from hiprl.data.answer import choice, level
 from hiprl.data.film import Film
@@ -22,6 +22,7 @@ from hiprl.errors import InputError
 from hiprl.models.estimate import estimate_reward
 from hiprl.report.evidence import evidence_of, opinions
 from hiprl.session import RunSpec, latest, spec_of, start
+from hiprl.store.rows import PEOPLE
 from hiprl.store.store import Store, open_store
 from hiprl.teaching import AGAIN, FIRST, OPEN, SEEN, Asking, Known, improved, taught
 from hiprl.world.build import world_from

@@ -11,13 +11,13 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import ArrayLike
 
-from hiprl.config import CUSTOM, PEOPLE, Config, asking
+from hiprl.config import Config, asking
 from hiprl.errors import InputError
 from hiprl.feedback.judges import judge_from
 from hiprl.feedback.judging import Judge, Judging
 from hiprl.feedback.questions import Pick
 from hiprl.session import Facts, RunSpec, Watch, carry_on, learned_actor, refuse_finished, start
-from hiprl.store.rows import RunRow
+from hiprl.store.rows import CUSTOM, PEOPLE, RunRow
 from hiprl.store.store import Store, open_store
 from hiprl.types import Actor
 from hiprl.world.build import world_from

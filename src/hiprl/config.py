@@ -22,10 +22,6 @@ Preset: TypeAlias = Literal["default", "paper"]
 Babble: TypeAlias = Literal["varied", "uniform"]
 CLIP = 50
 """Steps of a clip where a judge does not give numbers: 2 to 5 seconds in most simulators."""
-PEOPLE = "people"
-"""In place of a judge's name in the row of a run that people teach."""
-CUSTOM = "custom"
-"""There for a judge, or a rule of termination, that is a function, which a row cannot hold."""
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 
 

@@ -32,7 +32,7 @@ from hiprl.algorithm import (
     practised,
     scored,
 )
-from hiprl.config import CUSTOM, PEOPLE, Config
+from hiprl.config import Config
 from hiprl.data.answer import Answer
 from hiprl.data.film import Film
 from hiprl.data.preference import WHOLE, Clip
@@ -46,7 +46,7 @@ from hiprl.models.reward_network import NetworkConfig
 from hiprl.reported import actor_of, best_actor, confirmed
 from hiprl.spec import from_plain, to_plain, versions
 from hiprl.store.arrays import pack, unpack
-from hiprl.store.rows import ClipRow, TrajectoryRow
+from hiprl.store.rows import CUSTOM, PEOPLE, ClipRow, TrajectoryRow
 from hiprl.store.store import Store
 from hiprl.types import Actor, Key
 from hiprl.world.task import World

@@ -10,12 +10,13 @@ from typing import get_args
 
 import pytest
 
-from hiprl.cli import commands
+from hiprl.cli import commands, serving
 from hiprl.cli.main import DONE, FAILED, WRONG_INPUT, main, read, run
 from hiprl.config import PRESETS, preset
 from hiprl.control.plan import PLANS
 from hiprl.errors import InputError, StoreError
 from hiprl.hallucinated import OPTIMISM
+from hiprl.report.figures import PICTURES
 from hiprl.store.store import open_store
 from tests.report.made_up import add_run
 
@@ -68,6 +69,16 @@ def test_help_loads_nothing_that_takes_long() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.strip() == ""
+
+
+def test_a_page_loads_nothing_that_takes_long() -> None:
+    code = "import sys, hiprl.cli.serving; print({'jax', 'matplotlib', 'scipy', 'mujoco'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
+
+
+def test_a_page_has_all_pictures() -> None:
+    assert ("overview", *PICTURES) == serving.DRAWN
 
 
 def test_choices_are_those_of_the_library() -> None:

@@ -5,13 +5,19 @@ import pytest
 
 from hiprl.data.answer import rating
 from hiprl.data.preference import Clip, Preferences
-from hiprl.models.estimate import estimate_reward
 from hiprl.models.evidence import evidence
 from hiprl.models.quality import NUMBER_VAR, predicted
-from hiprl.models.reward import JUDGES, AdditiveConfig, estimate_additive_reward
+from hiprl.models.reward import JUDGES, AdditiveConfig, Errors, estimate_additive_reward
 from hiprl.models.units import lengths_of, units
 from tests.models.test_answers import H as STEPS_OF_T
 from tests.models.test_answers import answered, linear_set
+
+
+def knowing(T, mistakes):
+    """A reward that knows how those who answer by levels err."""
+    reward = estimate_additive_reward(answered(T, ["number"], n=8, m=2), T, AdditiveConfig(smooth=(0.01,)))
+    errors = Errors(jnp.asarray(0.1), mistakes, reward.errors.scale, reward.errors.spread)
+    return eqx.tree_at(lambda r: r.errors, reward, errors)
 
 
 def test_the_newest_answer_is_read_in_the_unit_of_those_it_is_predicted_from():
@@ -22,7 +28,7 @@ def test_the_newest_answer_is_read_in_the_unit_of_those_it_is_predicted_from():
     by_newest, by_kept = (np.asarray(units(r, T, P, lengths_of(P), jnp.asarray(i)))[:9] for i in (8, 7))
     assert by_newest[8] == by_kept[7] == 1 and by_kept[8] != pytest.approx(1, rel=1e-2)
     np.testing.assert_allclose(by_kept / by_newest, by_kept[8], rtol=1e-5)
-    reward = estimate_reward(P.only(np.arange(8)), T, None, AdditiveConfig(smooth=(0.01,)))
+    reward = knowing(T, jnp.full(JUDGES, 0.02))
     held, otherwise = (np.asarray(predicted(P, T, reward, newest=i).log_likelihood) for i in (7, 8))
     alone = predicted(P.only(np.arange(8)), T, reward, newest=7).log_likelihood
     np.testing.assert_allclose(held[:8], np.asarray(alone)[:8], rtol=1e-4)  # as it was learned
@@ -81,9 +87,8 @@ def P_clips(P):
 def test_who_errs_often_is_expected_to():
     T = linear_set(21, [STEPS_OF_T] * 12, H=STEPS_OF_T, capacity=17)
     P = answered(T, ["choice"], n=12, m=2, judge=lambda k: k % 2)
-    reward = estimate_reward(P.only(np.arange(0, 12, 2)), T, None, AdditiveConfig(smooth=(0.01,)))
     seldom, often = (
-        predicted(P, T, eqx.tree_at(lambda r: r.errors.mistakes, reward, jnp.asarray(each)), newest=5)
+        predicted(P, T, knowing(T, each), newest=5)
         for each in (jnp.full(JUDGES, 0.02), jnp.full(JUDGES, 0.02).at[1].set(0.4))
     )
     same = np.isclose(seldom.log_likelihood[:12], often.log_likelihood[:12], rtol=1e-5)

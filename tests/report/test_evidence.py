@@ -13,7 +13,7 @@ from hiprl.data.preference import Clip, Kind, Preferences
 from hiprl.errors import InputError
 from hiprl.models.estimate import estimate_reward
 from hiprl.models.quality import cross_validated, shapes
-from hiprl.models.reward import AdditiveConfig
+from hiprl.models.reward import JUDGES, AdditiveConfig
 from hiprl.report.beliefs import beliefs
 from hiprl.report.evidence import GOING_ON, agreement, as_said, consistency, evidence_of, opinions, quality, told
 from hiprl.spec import to_plain
@@ -185,7 +185,7 @@ def test_the_same_is_asked_twice(first, second, clips, same):
     assert consistency(P) == (None if same is None else pytest.approx(same)) and agreement(P) is None
 
 
-def test_two_judges_are_held_against_each_other(T, tmp_path):
+def test_two_judges_are_held_against_each_other(T, evidence, tmp_path):
     store, run = stored(tmp_path / "runs.db", T, lambda a, b: choice(a > b))
     with store:
         _, clips = next(pairs())
@@ -193,11 +193,12 @@ def test_two_judges_are_held_against_each_other(T, tmp_path):
             store.ask(run, k, clips)
             store.answer(run, k, answer, "ada" if k == N else "rule")
         row = store.run(run)
-        again, P = evidence_of(store, row)
-        found = opinions(store, row, P, estimate_reward(P, again, None, LINEAR))
+        _, P = evidence_of(store, row)
+        reward = estimate_reward(*reversed(evidence), None, LINEAR)
+        found = opinions(store, row, P, eqx.tree_at(lambda r: r.errors.mistakes, reward, jnp.linspace(0, 0.3, JUDGES)))
         assert found["agreement"] in (0.5, 1.0) and agreement(P) == found["agreement"]
         assert [(one["judge"], one["answers"]) for one in found["judges"]] == [("rule", N), ("ada", 1)]
-        assert all(0 <= one["mistakes"] <= 0.5 for one in found["judges"])
+        assert [one["mistakes"] for one in found["judges"]] == [0, pytest.approx(0.3 / (JUDGES - 1))]
 
 
 def test_one_judge_alone_has_nobody_to_agree_with(numbers, evidence):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hiprl.config import PEOPLE, Config, teachable
+from hiprl.config import Config, teachable
 from hiprl.data.film import Film
 from hiprl.data.trajectory import trajectory_from
 from hiprl.spec import to_plain
-from hiprl.store.rows import ClipRow
+from hiprl.store.rows import PEOPLE, ClipRow
 from hiprl.store.store import Store
 
 H, BODIES = 40, 3

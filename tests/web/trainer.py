@@ -6,8 +6,9 @@ import sys
 from dataclasses import replace
 
 from hiprl.cli.machine import prepare
-from hiprl.config import PEOPLE, teachable
+from hiprl.config import teachable
 from hiprl.session import RunSpec, start
+from hiprl.store.rows import PEOPLE
 from hiprl.store.store import Store, open_store
 from hiprl.teaching import taught
 from hiprl.world.build import world_from

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from hiprl.cli import teaching, training
 from hiprl.cli.commands import Facts, Resume
-from hiprl.config import PEOPLE
 from hiprl.session import refuse_finished
+from hiprl.store.rows import PEOPLE
 from hiprl.store.store import open_store
 
 

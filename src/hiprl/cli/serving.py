@@ -11,18 +11,13 @@ import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import Callable
 from functools import partial
 from urllib.parse import quote
 
 import uvicorn
-from matplotlib.figure import Figure
 
 from hiprl.cli.commands import Facts, Serve
 from hiprl.errors import InputError
-from hiprl.report.figures import PICTURES, overview, single
-from hiprl.report.record import Record, record
-from hiprl.report.style import look
 from hiprl.store.store import Store, open_store
 from hiprl.web.access import Doors
 from hiprl.web.app import Picture, app_of
@@ -34,6 +29,16 @@ WITH_PARENT = "HIPRL_WITH_PARENT"
 TRACEBACK = "HIPRL_TRACEBACK"
 """Set where what goes wrong in a request is to be seen here too: any program that hangs up too soon is such a thing."""
 TRIED_PORTS = 20
+DRAWN = (
+    "overview",
+    "learning",
+    "transition-deviation",
+    "preference-deviation",
+    "calibration",
+    "imagination",
+    "rollout-error",
+)
+"""Pictures of a run, as `hiprl.report.figures` names them."""
 CLEARED = "\r\x1b[K"  # what a terminal begins a line anew by
 LOOKING = 75  # seconds that a line stays open for the next answer: a person looks at a pair for longer than a script
 
@@ -80,14 +85,18 @@ def drawings(store: Store) -> dict[str, Picture]:
     """What `hiprl show` draws of a run by its facts, drawn when somebody looks."""
     one_at_a_time = threading.Lock()  # Matplotlib's settings belong to the whole process
 
-    def picture(draw: Callable[[Record], Figure], run_id: str) -> bytes:
+    def picture(name: str, run_id: str) -> bytes:
+        # A page is there at once: nothing it stands on needs JAX or Matplotlib, which take seconds to import.
+        from hiprl.report.figures import figure_of
+        from hiprl.report.record import record
+        from hiprl.report.style import look
+
         drawn = io.BytesIO()
         with one_at_a_time, look():
-            draw(record(store, store.run(run_id))).savefig(drawn, format="png")
+            figure_of(record(store, store.run(run_id)), name).savefig(drawn, format="png")
         return drawn.getvalue()
 
-    draws = {"overview": overview} | {name: partial(single, panels=panels) for name, panels in PICTURES.items()}
-    return {name: partial(picture, draw) for name, draw in draws.items()}
+    return {name: partial(picture, name) for name in DRAWN}
 
 
 def listening(host: str, port: int) -> socket.socket:

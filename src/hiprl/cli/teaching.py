@@ -19,10 +19,10 @@ from hiprl.cli.interrupt import stoppable
 from hiprl.cli.progress import progress
 from hiprl.cli.serving import WITH_PARENT, listening, say
 from hiprl.cli.training import outcome, tell, typed
-from hiprl.config import PEOPLE, Config, teachable
+from hiprl.config import Config, teachable
 from hiprl.errors import InputError
 from hiprl.session import RunSpec, spec_of, start
-from hiprl.store.rows import RunRow
+from hiprl.store.rows import PEOPLE, RunRow
 from hiprl.store.store import Store
 from hiprl.teaching import FIRST, taught
 from hiprl.world.build import world_from

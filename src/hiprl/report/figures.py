@@ -37,7 +37,12 @@ DOT = {"linestyle": "none", "marker": "o", "markeredgewidth": 0.0}
 def pictures(run: Record) -> dict[str, Figure]:
     """Name to figure; `overview` has the most telling panels together."""
     with look():
-        return {"overview": overview(run)} | {name: single(run, panels) for name, panels in PICTURES.items()}
+        return {name: figure_of(run, name) for name in ("overview", *PICTURES)}
+
+
+def figure_of(run: Record, name: str) -> Figure:
+    """One of them."""
+    return overview(run) if name == "overview" else single(run, PICTURES[name])
 
 
 def overview(run: Record) -> Figure:

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from hiprl.config import CUSTOM, PEOPLE, PRESETS, asking, preset, teachable
+from hiprl.config import PRESETS, asking, preset, teachable
 from hiprl.feedback.judges import judge_from
 from hiprl.spec import to_plain
-from hiprl.store.rows import RunRow
+from hiprl.store.rows import CUSTOM, PEOPLE, RunRow
 
 
 class Setting(NamedTuple):

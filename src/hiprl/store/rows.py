@@ -13,6 +13,10 @@ from hiprl.store.arrays import array_from_bytes, array_to_bytes
 
 Kind: TypeAlias = Literal["random", "policy"]
 """How a trajectory came about: by random actions, or by the policy of its episode."""
+PEOPLE = "people"
+"""In place of a judge's name in the row of a run that people teach."""
+CUSTOM = "custom"
+"""There for a judge, or a rule of termination, that is a function, which a row cannot hold."""
 
 
 @runtime_checkable

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from hiprl.config import PEOPLE
 from hiprl.data.answer import Answer
 from hiprl.data.film import Film
-from hiprl.store.rows import AnswerRow, ClipRow, QuestionRow, RunRow
+from hiprl.store.rows import PEOPLE, AnswerRow, ClipRow, QuestionRow, RunRow
 from hiprl.store.store import Store
 
 Plain = dict[str, Any]
