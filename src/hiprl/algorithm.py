@@ -90,8 +90,7 @@ class Question(eqx.Module):
     @property
     def shown(self) -> tuple[Clip, ...]:
         """The clips one by one."""
-        of, start, length = self.clips.of, self.clips.start, self.clips.length
-        return tuple(Clip(of[i], start[i], length[i]) for i in range(of.shape[0]))
+        return self.clips.each()
 
 
 @runtime_checkable
@@ -249,6 +248,7 @@ def lived(run: Run, new: Attempt, calibration: Calibration, world: World, config
     return eqx.tree_at(lambda run: (run.T, run.dynamics, run.ending, run.calibration, run.archive), run, made)
 
 
+@partial(jax.jit, static_argnames=("config",))
 def restart(run: Run, config: Config) -> tuple[SearchState, Count]:
     """Where the next search begins, and how many searches from there went wrong.
 

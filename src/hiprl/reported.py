@@ -34,14 +34,14 @@ def confirmed(run: Run, world: World, config: Config, *, key: Key) -> tuple[Coun
     alive = ranked[: max(2, left // EACH)] if left > 1 else ranked[:1]
     draws = list(jr.split(key, left)) if left else []
     executed: dict[int, list[float]] = {i: [] for i in alive}
-    steps = jnp.zeros((), jnp.int32)
+    actors = {i: actor_of(run, i, world, config) for i in alive}
+    nothing, steps = Trajectories.empty(1, H=world.H, p=world.p, q=world.q), jnp.zeros((), jnp.int32)
     for rounds in range(math.ceil(math.log2(len(alive))), 0, -1):
         each = max(1, left // rounds // len(alive))
         left -= each * len(alive)
         for i in alive * each:
-            tau = world.roll_out(actor_of(run, i, world, config), key=jr.clone(draws[len(executed[i])]))
-            alone = Trajectories.empty(1, H=world.H, p=world.p, q=world.q).add(tau)
-            executed[i].append(float(run.reward.returns(alone)[0]))
+            tau = world.roll_out(actors[i], key=jr.clone(draws[len(executed[i])]))
+            executed[i].append(float(run.reward.returns(nothing.add(tau))[0]))
             steps += tau.length
         alive = sorted(alive, key=lambda i: np.mean(executed[i]), reverse=True)[: (len(alive) + 1) // 2]
     return jnp.asarray(alive[0], jnp.int32), steps

@@ -24,6 +24,7 @@ SearchConfig: TypeAlias = GradientConfig | PPOConfig
 SEEN_STATES = 8192  # as many as one search draws its starts from
 
 
+@partial(jax.jit, static_argnames=("size", "config"))
 def new_search(T: Trajectories, size: int, config: SearchConfig, *, key: Key) -> SearchState:
     """Where the first search begins: a policy of `size` outputs that does next to nothing, in the units of T."""
     new = new_gradient if isinstance(config, GradientConfig) else new_ppo

@@ -50,6 +50,11 @@ class Clip(eqx.Module):
         """These steps of a trajectory, or of several."""
         return cls(*jnp.broadcast_arrays(*(jnp.asarray(x, jnp.int32) for x in (of, start, length))))
 
+    @jax.jit
+    def each(self) -> tuple[Clip, ...]:
+        """Those of a stack, one by one."""
+        return tuple(Clip(*one) for one in zip(self.of, self.start, self.length, strict=True))
+
 
 class Kind(IntEnum):
     """How the bounds of an answer are read."""
@@ -187,7 +192,8 @@ class Preferences(eqx.Module):
         pair = [Clip.whole(first), Clip.whole(second)]
         return self.put(said, pair, at_hand=jnp.maximum(jnp.asarray(first), jnp.asarray(second)) + 1)
 
-    def put(self, said: Said, clips: Sequence[Clip], *, judge: int = 0, at_hand: Count) -> Preferences:
+    @jax.jit
+    def put(self, said: Said, clips: Sequence[Clip], *, judge: Count | int = 0, at_hand: Count) -> Preferences:
         """P with one more answer, about these clips. The caller sees to it that there is room."""
         k = self.count
         row = lambda all_, one: all_.at[k].set(jnp.asarray(one, all_.dtype))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -52,20 +54,24 @@ class Trajectories(eqx.Module):
         """Index of the newest trajectory."""
         return self.count - 1
 
+    @jax.jit
     def add(self, tau: Trajectory) -> Trajectories:
         """T ∪ {τ}. The caller sees to it that there is room."""
         rows = jax.tree.map(lambda all_, one: all_.at[self.count].set(one), self.rows, tau)
         return Trajectories(rows, self.count + 1)
 
+    @jax.jit
     def executed(self) -> Trajectories:
         """The same with no steps in what was only imagined: what the world is learned from."""
         length = jnp.where(self.rows.imagined, 0, self.rows.length)
         return eqx.tree_at(lambda T: T.rows.length, self, length)
 
+    @jax.jit
     def get(self, i: Int[Array, ""] | int) -> Trajectory:
         """Trajectory number `i`, from 0."""
         return jax.tree.map(lambda all_: all_[i], self.rows)
 
+    @jax.jit
     def clip(self, clip: Clip) -> Trajectory:
         """What a clip shows."""
         return self.get(clip.of).cut(clip.start, clip.length)
@@ -86,6 +92,7 @@ class Trajectories(eqx.Module):
         """s_0 of each executed trajectory; all other rows repeat the first one."""
         return jnp.where(self.real[:, None], self.rows.states[:, 0], self.rows.states[0, 0])
 
+    @partial(jax.jit, static_argnames=("margin",))
     def box(
         self, *, margin: float, also: Float[Array, "n p"] | None = None
     ) -> tuple[Float[Array, " p"], Float[Array, " p"]]:

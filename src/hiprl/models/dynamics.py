@@ -77,6 +77,7 @@ class DynamicsState(eqx.Module):
     """Raw data of the key from which the weights are made again for every fit."""
 
 
+@partial(jax.jit, static_argnames=("config",))
 def new_dynamics(T: Trajectories, config: DynamicsConfig, *, key: Key) -> DynamicsState:
     """An ensemble that knows no more of the world than its units: those of T."""
     net_key, bootstrap_key = jr.split(key)

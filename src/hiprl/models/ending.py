@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -37,6 +35,7 @@ class Ending(eqx.Module):
         return self.seen & (self.logit(s, a, s_next) > 0)
 
 
+@jax.jit
 def new_ending(T: Trajectories, *, key: Key) -> Ending:
     """A classifier that expects no end."""
     inputs, _ = _units(T)
@@ -51,7 +50,7 @@ def _units(T: Trajectories) -> tuple[Scaler, Float[Array, "n x"]]:
     return Scaler.of(x, rows.mask), x
 
 
-@partial(jax.jit)
+@jax.jit
 def estimate_ending(T: Trajectories, ending: Ending, *, key: Key) -> Ending:
     """Fits the classifier to T. Each minibatch holds as many ends as other steps, since ends are rare."""
     rows = T.transitions()

@@ -134,6 +134,7 @@ class AdditiveReward(EstimatedReward):
         var = jnp.sum(psi**2 * self.prior) - jnp.sum((self.root @ psi) ** 2)
         return Gap(mean, jnp.sqrt(jnp.maximum(var, 0.0) + (self.errors.spread * mean) ** 2))
 
+    @jax.jit
     def returns(self, T: Trajectories) -> Float[Array, " N"]:
         return jnp.where(T.filled, sums_of(self.features, T, self.mean), -jnp.inf)
 

@@ -72,10 +72,12 @@ class NetworkReward(EstimatedReward):
         by_net = self.sums(tau) - self.sums(other)
         return Gap(jnp.mean(by_net), jnp.std(by_net, ddof=1))
 
+    @jax.jit
     def returns(self, T: Trajectories) -> Float[Array, " N"]:
         return jnp.where(T.filled, jnp.mean(jax.vmap(self.sums)(T.rows), axis=1), -jnp.inf)
 
 
+@partial(jax.jit, static_argnames=("config",))
 def new_network_reward(T: Trajectories, config: NetworkConfig, *, key: Key) -> NetworkReward:
     """Networks that have seen no answer."""
     n = T.rows.states.shape[2] + T.rows.actions.shape[2]
