@@ -134,9 +134,8 @@ class AdditiveReward(EstimatedReward):
         var = jnp.sum(psi**2 * self.prior) - jnp.sum((self.root @ psi) ** 2)
         return Gap(mean, jnp.sqrt(jnp.maximum(var, 0.0) + (self.errors.spread * mean) ** 2))
 
-    @jax.jit
     def returns(self, T: Trajectories) -> Float[Array, " N"]:
-        return jnp.where(T.filled, sums_of(self.features, T, self.mean), -jnp.inf)
+        return sums_of(self.features, T, self.mean)
 
 
 def summed(features: AdditiveFeatures, tau: Trajectory) -> Float[Array, " D"]:
@@ -148,9 +147,10 @@ def summed(features: AdditiveFeatures, tau: Trajectory) -> Float[Array, " D"]:
 
 @jax.jit
 def sums_of(features: AdditiveFeatures, T: Trajectories, weights: Float[Array, " D"]) -> Float[Array, " N"]:
-    """Sum of φᵀ weights along each trajectory of T."""
+    """Sum of φᵀ weights along each trajectory of T; minus infinity past the count."""
     each = values(features, columns(features, steps_of(T).x), weights).reshape(T.rows.actions.shape[:2])
-    return jnp.sum(jnp.where(jax.vmap(Trajectory.transitions)(T.rows).mask, each, 0.0), axis=1)
+    sums = jnp.sum(jnp.where(jax.vmap(Trajectory.transitions)(T.rows).mask, each, 0.0), axis=1)
+    return jnp.where(T.filled, sums, -jnp.inf)
 
 
 def estimate_additive_reward(

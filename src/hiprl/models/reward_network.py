@@ -72,9 +72,14 @@ class NetworkReward(EstimatedReward):
         by_net = self.sums(tau) - self.sums(other)
         return Gap(jnp.mean(by_net), jnp.std(by_net, ddof=1))
 
-    @jax.jit
     def returns(self, T: Trajectories) -> Float[Array, " N"]:
-        return jnp.where(T.filled, jnp.mean(jax.vmap(self.sums)(T.rows), axis=1), -jnp.inf)
+        return returns_of(self, T)
+
+
+@jax.jit
+def returns_of(reward: NetworkReward, T: Trajectories) -> Float[Array, " N"]:
+    """Mean over the networks of the return of each trajectory of T; minus infinity past the count."""
+    return jnp.where(T.filled, jnp.mean(jax.vmap(reward.sums)(T.rows), axis=1), -jnp.inf)
 
 
 @partial(jax.jit, static_argnames=("config",))
