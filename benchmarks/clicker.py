@@ -115,7 +115,7 @@ class Person:
         gap = (right - left) / (float(np.std(self.worths)) or 1.0)
         return str(3 + round(min(max(1.5 * gap, -2), 2)))
 
-    def answer(self, n: int, *, pause: float = 0.5, patience: float = 900.0) -> int:
+    def answer(self, n: int, *, pause: float = 0.5, patience: float = 300.0) -> int:
         """Answers so many questions, or as many as there are; gives how many there were."""
         for done in range(n):
             began, before = time.monotonic(), self.shown

@@ -240,3 +240,12 @@ def test_what_the_papers_network_cannot_learn_from_is_not_taken(store):
             carry_on(store, run_id, world, judge)
         assert "resume" in str(caught.value) and store.questions(run_id, unanswered=True)
         assert [row.answer.form for row in store.answers(run_id)] == said[:-1]
+
+
+@pytest.mark.slow
+def test_a_run_of_the_papers_network_goes_on_after_an_answer_it_cannot_learn_from(store):
+    world, config = world_from("linear"), replace(TINY, reward=paper("linear").reward)
+    run_id = start(store, world, RunSpec(seed=3, config=config, judge=CUSTOM, eval_episodes=2))
+    with pytest.raises(JudgeError, match="from numbers alone"):
+        carry_on(store, run_id, world, judge_from(lambda tau, other: choice(True)))
+    assert carry_on(store, run_id, world, exact)["comparisons"] == config.comparisons

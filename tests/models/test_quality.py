@@ -31,7 +31,7 @@ def test_the_newest_answer_is_read_in_the_unit_of_those_it_is_predicted_from():
     reward = knowing(T, jnp.full(JUDGES, 0.02))
     held, otherwise = (np.asarray(predicted(P, T, reward, newest=i).log_likelihood) for i in (7, 8))
     alone = predicted(P.only(np.arange(8)), T, reward, newest=7).log_likelihood
-    np.testing.assert_allclose(held[:8], np.asarray(alone)[:8], rtol=1e-4)  # as it was learned
+    np.testing.assert_allclose(held[:8], np.asarray(alone)[:8], rtol=1e-4)  # as without the newest
     assert not np.allclose(otherwise[:8], held[:8], rtol=1e-3)
 
 
