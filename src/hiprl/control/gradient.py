@@ -27,7 +27,7 @@ from hiprl.control.policy import SquashedPolicy, Value
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.fit import descend, descent
 from hiprl.models.network import FEW, Activation, Scaler
-from hiprl.types import Count, Key, Reward, Scalar, State, stacked_size
+from hiprl.types import Count, Flag, Key, Reward, Scalar, State, stacked_size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +43,9 @@ class GradientConfig:
     """Looks at the policy in every member during one search, at most."""
     updates: int = 100
     """Policy updates between two looks."""
-    rollouts: int = 100
-    """Imagined rollouts an update, for each of the M members."""
+    rollouts: int | None = None
+    """Imagined rollouts an update, for each of the M members; None for 100, or for 50 where a state has 8 entries at
+    most."""
     steps: int = 5
     """Of an imagined rollout; the value stands for what follows. Through more steps, gradients are mostly noise."""
     policy_rate: float = 3e-4
@@ -54,7 +55,8 @@ class GradientConfig:
     value_updates: int = 4
     """Updates of the value for each of the policy."""
     settling: int = 300
-    """Updates of the value alone before the policy moves. It is learned anew in each search: model and r̂ are newer."""
+    """Updates of the value alone before the policy moves, in whole chunks: it is learned anew in each search, as model
+    and r̂ are newer."""
     offset_rate: float = 0.1
     """Share of what the value is off by in all states alike that is mended with each update."""
     gamma: float | None = None
@@ -80,6 +82,11 @@ class GradientConfig:
         """Units of the hidden layers, where a state has `p` entries."""
         usual = (64, 64) if p <= FEW else (128, 128)
         return usual if self.hidden is None else self.hidden
+
+    def breadth(self, p: int) -> int:
+        """Imagined rollouts an update, in each member, where a state has `p` entries."""
+        usual = 50 if p <= FEW else 100
+        return usual if self.rollouts is None else self.rollouts
 
     def discount(self, H: int) -> float:
         """γ in episodes of at most H steps."""
@@ -143,7 +150,7 @@ def gradient_search(
     gamma = config.discount(H)
     scale = unit / (1 - gamma)
     policy = cast("SquashedPolicy", state.policy).rescaled(starts.scaler)
-    settle_key, trial_key, value_key, key = jr.split(key, 4)
+    trial_key, value_key, key = jr.split(key, 3)
     value = new_value(starts.scaler, config, key=value_key).rescaled(starts.scaler, scale)
     worlds, axis = f_tilde.worlds()
     M = stacked_size(f_tilde.dynamics.members())
@@ -181,7 +188,7 @@ def gradient_search(
     over_rollouts = jax.vmap(imagine, in_axes=(None, None, None, 0, 0))
     over_worlds = jax.vmap(over_rollouts, in_axes=(axis, None, None, 0, 0))
 
-    shape = M, config.rollouts
+    shape = M, config.breadth(starts.scaler.size)
 
     def draw_starts(learner: Learner, key: Key) -> Float[Array, "M n p"]:
         seen_key, first_key, which_key, on_key = jr.split(key, 4)
@@ -191,7 +198,7 @@ def gradient_search(
         on = jr.bernoulli(on_key, config.going_on, shape) & (learner.alive > 0)
         return jnp.where(on[..., None], learner.s, new)
 
-    def update(learner: Learner, update_key: Key, *, moving: bool):
+    def update(learner: Learner, update_key: Key, *, moving: Flag):
         policy, value, target, policy_state, value_state, *_ = learner
         start_key, act_key, f_key = jr.split(update_key, 3)
         s_0 = draw_starts(learner, start_key)
@@ -204,12 +211,14 @@ def gradient_search(
             seen = over_worlds(worlds, policy, target, s_0, draws)
             return -jnp.mean(seen[1][..., 0]) / scale, seen
 
-        if moving:
+        def moved():
             gradient, seen = jax.grad(policy_loss, has_aux=True)(policy)
-            policy, policy_state = descend(policy_opt, policy, frozen_inputs(gradient), policy_state)
-        else:
-            seen = over_worlds(worlds, policy, target, s_0, draws)
+            return *descend(policy_opt, policy, frozen_inputs(gradient), policy_state), seen
 
+        def kept():
+            return policy, policy_state, over_worlds(worlds, policy, target, s_0, draws)
+
+        policy, policy_state, seen = jax.lax.cond(moving, moved, kept)
         s, returns, of_value, weight, end = seen
         flat_s, goal, weight = s.reshape(-1, s.shape[-1]), returns.reshape(-1) / scale, weight.reshape(-1)
         goal = jax.lax.stop_gradient(goal)
@@ -238,14 +247,19 @@ def gradient_search(
 
     everywhere = f_tilde.in_each_member()
 
-    def chunk(_, carry):
+    def tried(learner: Learner) -> tuple[SearchReport, Scalar]:
+        report = report_of(trials(everywhere, learner.policy, reward, ends, chance))
+        if not f_tilde.hopes:
+            return report, report.worst
+        return report, jnp.mean(trials(f_tilde, learner.policy, reward, ends, chance, axis=None, value=learner.value))
+
+    # The value settles in the same program in which the policy moves: two would take longer to compile.
+    def chunk(i: Count, carry):
         learner, best, best_report, best_score, key = carry
         key, update_key = jr.split(key)
-        learner, _ = jax.lax.scan(partial(update, moving=True), learner, jr.split(update_key, config.updates))
-        report = report_of(trials(everywhere, learner.policy, reward, ends, chance))
-        score = report.worst
-        if f_tilde.hopes:
-            score = jnp.mean(trials(f_tilde, learner.policy, reward, ends, chance, axis=None, value=learner.value))
+        moving = i >= settling
+        learner, _ = jax.lax.scan(partial(update, moving=moving), learner, jr.split(update_key, config.updates))
+        report, score = jax.lax.cond(moving, tried, lambda _: nothing, learner)
         better = report.finite & ~(score <= best_score)
         keep = lambda new, old: jnp.where(better, new, old)
         best = jax.tree.map(keep, SearchState(learner.policy, learner.value), best)
@@ -255,12 +269,13 @@ def gradient_search(
     learner = Learner(policy, value, value, descent(policy_opt, policy), descent(value_opt, value), *nowhere)
     length = min(config.trial_steps, H)
     chance = Chance.draw(starts.first, M=M, n=config.trial_starts, steps=length, key=trial_key)
-    learner, _ = jax.lax.scan(partial(update, moving=False), learner, jr.split(settle_key, config.settling))
     # Where the search begins is no candidate: it was executed, and to execute it again would teach nothing.
-    carry = (learner, state, SearchReport.nothing(), jnp.asarray(-jnp.inf), key)
+    nothing = SearchReport.nothing(), jnp.asarray(-jnp.inf)
+    carry = (learner, state, *nothing, key)
     # A policy near one that holds in the world is likelier to hold there: the model is at fault further away.
+    settling = -(-config.settling // config.updates)
     chunks = jnp.maximum(config.chunks >> jnp.minimum(setbacks, 1), 1)
-    _, best, report, *_ = jax.lax.fori_loop(0, chunks, chunk, carry)
+    _, best, report, *_ = jax.lax.fori_loop(0, settling + chunks, chunk, carry)
     return best, report
 
 
