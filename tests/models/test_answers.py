@@ -1,4 +1,5 @@
 import dataclasses
+import operator
 
 import equinox as eqx
 import jax
@@ -8,10 +9,12 @@ import pytest
 
 from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, level, number, ranking, rating, slider
 from hiprl.data.preference import Clip, Preferences
-from hiprl.models.answers import MISTAKE, SCALES, estimate_from_answers, top_of
+from hiprl.data.trajectory import Trajectory
+from hiprl.models.answers import MISTAKE, SCALES, estimate_from_answers, top_of, visits_of
 from hiprl.models.estimate import estimate_reward
 from hiprl.models.features import Kernel
 from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
+from tests.data.samples import set_of
 from tests.models.worlds import linear_set, steps_of
 
 H, N, K, STEPS = 31, 17, 37, 11
@@ -218,3 +221,55 @@ def test_a_judge_who_contradicts_himself_is_found_to_err(T):
     config = AdditiveConfig(smooth=(0.01,), lengths=(4.0,))
     fixed, found = (float(estimate_reward(P, T, None, config).errors.mistakes[0]) for P in (once, again))
     assert fixed == pytest.approx(MISTAKE) and found > 2 * MISTAKE
+
+
+def pushed(rng, far):
+    """A body that random pushes carry away, `far` times as strongly as those that hardly move it."""
+    a = np.clip(rng.normal(0, 0.4) + 0.3 * rng.normal(size=(60, 2)), -1, 1)
+    v = np.append(0, np.cumsum(0.015 * far * a[:, 0]))
+    states = np.stack([np.cumsum(0.5 * v), v, np.cumsum(0.1 * rng.normal(size=61))], axis=1)
+    return Trajectory(
+        states=jnp.asarray(states, jnp.float32),
+        actions=jnp.asarray(a, jnp.float32),
+        rewards=jnp.full(60, jnp.nan),
+        length=jnp.asarray(60, jnp.int32),
+        terminated=jnp.asarray(False),
+    )
+
+
+def explained(kernels, seed):
+    """How many answers with a side are on r̂'s side, and how many there are: one wishes that the body stay at 1."""
+    rng = np.random.default_rng(seed)
+    taus = [pushed(rng, 1 if i < 4 else 12) for i in range(12)]
+    P, worths, wanted = Preferences.empty(30), [], []
+    for k in range(28):
+        at_hand = min(12, 4 + k // 3)
+        asked = rng.integers([at_hand - 4, 0], [at_hand, 40], size=(2, 2))
+        both = [-np.mean(np.abs(taus[i].states[t + 1 : t + 21, 0] - 1)) for i, t in asked]
+        worths += both
+        wanted.append(round(float(np.clip(1.5 * (both[0] - both[1]) / np.std(worths), -2, 2))))
+        clips = [Clip.at(int(i), int(t), 20) for i, t in asked]
+        P = P.answered(level(wanted[-1], 5), clips, judge=0, at_hand=jnp.asarray(at_hand, jnp.int32))
+    T = set_of(taus, capacity=12)
+    reward = estimate_from_answers(P, T, kernels)
+    clips = [jax.tree.map(operator.itemgetter((slice(28), i)), P.clips) for i in range(2)]
+    gap = jax.vmap(lambda a, b: reward.gap(T.clip(a), T.clip(b)).mean)(*clips)
+    return [int(np.sum(np.asarray(wanted) * side > 0)) for side in (np.asarray(gap), np.asarray(wanted))]
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_answers_given_when_little_had_happened_spoil_no_later_ones(seed):
+    mine, all_ = explained((Kernel(100.0, 4.0),), seed)
+    assert mine == all_ > 12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_no_answer_is_contradicted_where_all_can_be_explained(seed):
+    mine, all_ = explained(AdditiveConfig().kernels, seed)
+    assert mine == all_ > 12
+
+
+def test_a_look_begins_with_what_was_found():
+    visits, looks = visits_of((5, 11, 3), (-1, 1, -3, 3))
+    assert [tuple(visits[begin]) for begin, _ in looks] == [(0, 0, 1)] * 3

@@ -10,7 +10,7 @@ from scipy import stats
 from hiprl.data.answer import choice, level, ranking
 from hiprl.data.preference import Kind, Said
 from hiprl.models.likelihood import Noise, for_each, log_likelihood
-from hiprl.models.variational import Answers, begun, improved, left_out, posterior_of, thin, unknown
+from hiprl.models.variational import Answers, begun, improved, left_out, posterior_of, root_of, thin, unknown
 
 D, ROWS, KAPPA = 3, 11, 0.4
 
@@ -212,3 +212,11 @@ def test_what_the_bound_leaves_out_is_all_that_it_misses(size):
     bound = float(belief.evidence)
     assert bound < exact
     assert bound + float(left_out(A, given, belief)) == pytest.approx(exact, abs=0.02)  # of one answer, all of it
+
+
+def test_values_that_are_as_good_as_one_have_a_root():
+    rng = np.random.default_rng(3)
+    B = np.repeat(rng.normal(size=(50, 48, 1)), 3, axis=2) + 1e-6 * rng.normal(size=(50, 48, 3))
+    S = jnp.einsum("rki,rkj->rij", *[jnp.asarray(B, jnp.float32)] * 2)
+    L = root_of(S)
+    np.testing.assert_allclose(jnp.einsum("rik,rjk->rij", L, L), S, rtol=1e-4)

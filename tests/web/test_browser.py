@@ -239,6 +239,7 @@ def test_each_judge_says_a_name_though_the_goal_is_set(served: Served):
     other = served.tab("/teach", judge=None)
     other.wait_for_selector("#setup[open]")
     other.keyboard.press("Escape")
+    other.wait_for_selector("#setup:not([open])", state="attached")
     served.press(other, "1")
     assert [row.judge for row in served.store.answers(served.run_id)] == ["bo", "bo", "me"]
     assert served.store.goal(served.run_id) == "go along"
@@ -275,6 +276,7 @@ def test_keys_are_the_pages_again_after_the_mouse(served: Served):
         page.click(where)
         if where == "#help-open":
             page.keyboard.press("Escape")
+            page.wait_for_selector("#help:not([open])", state="attached")
         was = playing()
         page.keyboard.press(" ")
         assert playing() != was and not page.locator("dialog[open]").count(), where

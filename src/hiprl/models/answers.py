@@ -41,6 +41,7 @@ SAME = 0.05  # relative change of these below which the next round would find no
 STEPS, ENOUGH = 20, 0.3  # Newton steps for a candidate at most, and the gain in nats of one that is the last
 POLISH = 20, 1e-3  # the same for the candidate that is kept
 COLUMNS, FULL = 2, 3  # of the prior's factor, for each coordinate, while kernels are weighed up, and for the one kept
+LEAST_COLUMNS = 32  # of any: what is short and rough takes more columns than a state of few entries suggests
 COLUMNS_OF_NUMBERS, FULL_OF_NUMBERS = 4, 6  # the same where there are numbers, whose errors are small
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)  # candidates for the size of a typical difference, where a whole scale is 1
 USUAL = math.sqrt(2)  # size of the difference of two clips drawn at random, where their spread is 1
@@ -177,6 +178,7 @@ def estimate_from_answers(
     variance, length = np.asarray(kernels).T
     log_prior = believed(kernels) - BENT * np.log10(variance / variance.min())
     middle = len(SCALES) // 2, int(np.sum(length == length.max())) // 2, len(kappas) // 2
+    finest = int(np.sum(length == length.min()))  # so many further on is the next length, of the same variance
     numbers = Kind.NUMBER in kinds
     with jax.enable_x64(True):
         wide = in_64_bits((seen.Psi, P.said, priors_of(seen.features, kernels)))
@@ -190,14 +192,18 @@ def estimate_from_answers(
             P,
             lengths_of(P),
             jnp.asarray(middle),
-            columns=(COLUMNS_OF_NUMBERS if numbers else COLUMNS) * entries,
+            columns=max(LEAST_COLUMNS, (COLUMNS_OF_NUMBERS if numbers else COLUMNS) * entries),
+            steps=(-1, 1, -finest, finest),
             learn_mistakes=learn_mistakes,
             numbers=numbers,
         )
     with jax.enable_x64(True):
         posterior, errors = in_32_bits(
             _posterior(
-                problem, in_64_bits(end), columns=(FULL_OF_NUMBERS if numbers else FULL) * entries, numbers=numbers
+                problem,
+                in_64_bits(end),
+                columns=max(LEAST_COLUMNS, (FULL_OF_NUMBERS if numbers else FULL) * entries),
+                numbers=numbers,
             )
         )
     if numbers:
@@ -215,17 +221,27 @@ def in_32_bits(x: PyTree) -> PyTree:
     return jax.tree.map(lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, x)
 
 
-def visits_of(sizes: tuple[int, ...]) -> tuple[Int[np.ndarray, "visits 3"], Int[np.ndarray, "looks 2"]]:
-    """What can be looked at: an axis, where to on it, and whether that is from here; and each `Look`'s part of it."""
+def visits_of(
+    sizes: tuple[int, ...], steps: tuple[int, ...]
+) -> tuple[Int[np.ndarray, "visits 3"], Int[np.ndarray, "looks 2"]]:
+    """What can be looked at: an axis, where to on it, and whether that is from here; and each `Look`'s part of it.
+
+    Each begins with the one found, which another one has to better.
+
+    Args:
+        sizes: candidates on each axis.
+        steps: between kernels that are beside one another.
+    """
     axes = [axis for axis, n in enumerate(sizes) if n > 1]
     every = [(axis, to, 0) for axis in axes for to in range(sizes[axis])]
     same = [(0, 0, 1)]
-    near = every[: sizes[0]] + [(axis, to, 1) for axis in axes[1:] for to in (-1, 1)]
-    ends = np.cumsum([0, *map(len, (every, same, near))])
-    return np.array(every + same + near), np.stack([ends[:-1], ends[1:]], axis=1)
+    near = every[: sizes[0]] + [(axis, to, 1) for axis in axes[1:] for to in (steps if axis == 1 else (-1, 1))]
+    looks = same + every, same, same + near
+    ends = np.cumsum([0, *map(len, looks)])
+    return np.concatenate(looks), np.stack([ends[:-1], ends[1:]], axis=1)
 
 
-@partial(jax.jit, static_argnames=("columns", "learn_mistakes", "numbers"))
+@partial(jax.jit, static_argnames=("columns", "steps", "learn_mistakes", "numbers"))
 def _search(
     problem: Problem,
     seen: Evidence,
@@ -235,6 +251,7 @@ def _search(
     middle: At,
     *,
     columns: int,
+    steps: tuple[int, ...],
     learn_mistakes: bool,
     numbers: bool,
 ) -> Round:
@@ -248,7 +265,7 @@ def _search(
     K, J, D = problem.Psi.shape
     told = problem.filled & ~problem.number
     sizes = len(SCALES), len(problem.priors), len(problem.kappas)
-    visits, looks = map(jnp.asarray, visits_of(sizes))
+    visits, looks = map(jnp.asarray, visits_of(sizes, steps))
     mask = jax.vmap(Trajectory.transitions)(T.rows).mask
     flat = problem.Psi.reshape(K * J, D)
 
@@ -265,10 +282,6 @@ def _search(
         A = jnp.concatenate([weights(at, now.unit)[:, None] * kernel.factor, problem.offset], axis=1)
         return A, problem.answers(at, kernel.number, now.mistakes)
 
-    def carried(belief: Belief, before: Array, now: Array) -> Belief:
-        """The same belief about θ, in other units."""
-        return belief._replace(dual=belief.dual * (before / now) ** 2)
-
     def tried(before: Round, visit: Int[Array, "3"], found: Found) -> Found:
         """What was found, or another candidate if it is better."""
         axis, to, nearby = visit
@@ -276,7 +289,8 @@ def _search(
         at = found.at.at[axis].set(i)
         kernel = jax.lax.cond(axis == 1, lambda: under(i, before.relevance), lambda: found.under)
         A, given = in_units(at, kernel, before)
-        belief = carried(found.belief, weights(found.at, before.unit), weights(at, before.unit))
+        ratio = weights(found.at, before.unit) / weights(at, before.unit)
+        belief = carried(found.belief, ratio**2)  # so that the values stay as they are
         belief = improved(A, given, belief, steps=STEPS, enough=ENOUGH)
         score = belief.evidence + left_out(A, given, belief) + problem.log_prior[at[1]]
         score -= jnp.sum(problem.filled & problem.number) * jnp.log(kernel.number)
@@ -313,8 +327,10 @@ def _search(
         number, near = before.number + 1, before.look == Look.NEAR
         moved = jnp.where(near, jnp.any(found.at != before.found.at), apart > SAME) & (number < ROUNDS)
         look = jnp.where(moved, Look.SAME, jnp.where(near, Look.NONE, Look.NEAR)).astype(number.dtype)
-        belief = carried(found.belief, weight, weights(found.at, now))
-        return Round(number, look, now, wrong, relevant, found._replace(belief=belief))
+        belief = carried(found.belief, weight / weights(found.at, now))  # so that θ stays as it is
+        after = Round(number, look, now, wrong, relevant, found._replace(belief=belief))
+        over = Round(number, look, unit, mistakes, relevance, found)  # the best under these, not under the next
+        return jax.tree.map(partial(jnp.where, look == Look.NONE), over, after)
 
     def far(ratio: Array) -> Scalar:
         return jnp.max(jnp.abs(jnp.log(ratio)))
@@ -329,6 +345,11 @@ def _search(
     return jax.lax.while_loop(lambda now: now.look != Look.NONE, one_round, start)
 
 
+def carried(belief: Belief, ratio: Float[Array, " KJ"]) -> Belief:
+    """The belief with its dual times this, for values in other units."""
+    return belief._replace(dual=belief.dual * ratio)
+
+
 @partial(jax.jit, static_argnames=("columns", "numbers"))
 def _posterior(problem: Problem, end: Round, *, columns: int, numbers: bool):
     """Mean, prior variance and root of θ for the scales that were found, and how the judges err."""
@@ -338,6 +359,7 @@ def _posterior(problem: Problem, end: Round, *, columns: int, numbers: bool):
     scale, spread = top_of(line)
     weight, given = problem.weights(scale, end.unit), problem.answers(at, unit, end.mistakes)
     seen = lambda factor: jnp.concatenate([weight[:, None] * factor, problem.offset], axis=1)
+    belief = carried(belief, (problem.weights(jnp.asarray(SCALES, flat.dtype)[at[0]], end.unit) / weight) ** 2)
     belief = improved(seen(factor_of(flat, prior, columns)), given, belief, steps=POLISH[0], enough=POLISH[1])
     of = posterior_of(seen(flat * jnp.sqrt(prior)[None]), given, belief)
     root = unit * ((of.root * weight[None]) @ flat) * prior[None]

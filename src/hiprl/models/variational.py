@@ -25,6 +25,7 @@ from hiprl.models.likelihood import Noise, curvature, for_each, log_likelihood
 from hiprl.types import Count, Flag, Scalar
 
 JITTER = 1e-10
+ROUNDING = 10.0  # errors of the last bit that a covariance may have
 WIDER, STEPS = (10.0, 3.0), 6  # how much less exact a judge is on the way from no belief, and steps for each
 DRAWS = 24  # pairs of points over several values
 
@@ -106,6 +107,13 @@ def blocks_of(B: Float[Array, "r n"], rows: int) -> Float[Array, "rows J J"]:
     return jnp.einsum("nri,nrj->rij", B, B)
 
 
+def root_of(S: Float[Array, "rows J J"]) -> Float[Array, "rows J J"]:
+    """L with LLᵀ = S, also where the values of a row are as good as one and rounding left S without a factor."""
+    J = S.shape[-1]
+    jitter = JITTER + ROUNDING * jnp.finfo(S.dtype).eps * jnp.trace(S, axis1=1, axis2=2)
+    return jnp.linalg.cholesky(S + jitter[:, None, None] * jnp.eye(J, dtype=S.dtype)[None])
+
+
 class Answers(NamedTuple):
     """What was said of the values, each row about n / rows of them."""
 
@@ -124,7 +132,7 @@ def over_belief(f: Float[Array, " n"], S: Float[Array, "rows J J"], given: Answe
         value, slope, bend = (jnp.where(filled, x, 0.0) for x in averaged(f, S[:, 0, 0], said, noise))
         return value, slope, bend[:, None, None]
     z, weights = (jnp.asarray(x, f.dtype) for x in points(J))
-    L = jnp.linalg.cholesky(S + JITTER * jnp.eye(J, dtype=f.dtype)[None])
+    L = root_of(S)
     u = f.reshape(1, rows, J) + jnp.einsum("rij,zj->zri", L, z)
     mean = lambda of: jnp.tensordot(weights, jax.vmap(lambda u: for_each(of, u, said, noise))(u), 1)
     value = jnp.where(filled, mean(log_likelihood), 0.0)
@@ -245,7 +253,7 @@ def left_out(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Scalar:
         rest = beyond_gaussian(f, belief.S[:, 0, 0], belief.dual, belief.W[:, 0, 0], said, noise)
         return jnp.sum(jnp.where(filled, rest, 0.0))
     z, weights = (jnp.asarray(x, A.dtype) for x in points(J))
-    L = jnp.linalg.cholesky(belief.S + JITTER * jnp.eye(J, dtype=A.dtype)[None])
+    L = root_of(belief.S)
     u = f.reshape(1, rows, J) + jnp.einsum("rij,zj->zri", L, z)
     value = jax.vmap(lambda u: for_each(log_likelihood, u, said, noise))(u)
     value = value - (weights @ value)[None]
