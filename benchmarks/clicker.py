@@ -20,6 +20,7 @@ import numpy as np
 
 CHROMIUM = next((at for name in ("chromium", "chromium-browser", "google-chrome") if (at := shutil.which(name))), None)
 FLAGS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader", "--disable-background-networking"]
+SEEN = 0.05  # difference of two clips that a person sees, over the spread of all clips seen so far
 STARTING = 120.0  # seconds for a page to come up on a busy machine
 
 
@@ -109,11 +110,14 @@ class Person:
         return self.better(np.frombuffer(base64.b64decode(sent), "<f4").reshape(-1, *self.frame))
 
     def key(self) -> str:
-        """One of five levels, from 1 the left much better to 5 the right."""
+        """One of five levels, 1 the left much better to 5 the right, or a side where a little is to be seen."""
         left, right = map(self.worth, self.shown["clips"])
         self.worths += [left, right]
         gap = (right - left) / (float(np.std(self.worths)) or 1.0)
-        return str(3 + round(min(max(1.5 * gap, -2), 2)))
+        level = round(min(max(1.5 * gap, -2), 2))
+        if not level and abs(gap) > SEEN:
+            return "ArrowRight" if gap > 0 else "ArrowLeft"
+        return str(3 + level)
 
     def answer(self, n: int, *, pause: float = 0.5, patience: float = 300.0) -> int:
         """Answers so many questions, or as many as there are; gives how many there were."""
