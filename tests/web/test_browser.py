@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import expect
 
 from benchmarks.clicker import CHROMIUM, chromium, started
 from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, level
@@ -25,6 +26,7 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is here (D
 ANY_STORE = pytest.mark.parametrize("made", ["sqlite"], indirect=True)
 """What a browser shows of the same answers does not depend on where they are kept."""
 PATIENCE = 60_000  # milliseconds, on a machine that does other things too
+expect.set_options(timeout=PATIENCE)  # what a page shows is waited for: its parts change one after the other
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +90,7 @@ def test_a_password_lets_in_by_the_form(made: str, store: Store, browser: Any, m
         tab.fill("input[type=password]", "open sesame")
         tab.keyboard.press("Enter")
         tab.wait_for_url(f"{home}/")
-        assert "Come in" not in tab.content()
+        expect(tab.locator("body")).not_to_contain_text("Come in")
         context.close()
 
 
@@ -145,9 +147,9 @@ def test_what_was_only_imagined_is_marked_so(served: Served):
     for _ in range(3):
         k = served.shown(page)
         shown = [clip.of == IMAGINED for clip in served.store.questions(served.run_id)[k - 1].clips]
-        names = page.locator("#stage figcaption").all_inner_texts()
-        assert [name.split(", ")[0] for name in names] == ["Left", "Right"]
-        assert sorted(["imagined" in name for name in names]) == sorted(shown)
+        names = page.locator("#stage figcaption")
+        expect(names).to_contain_text(["Left", "Right"])
+        expect(names.filter(has_text="imagined")).to_have_count(sum(shown))
         served.press(page, "e")
 
 
@@ -169,17 +171,18 @@ def test_a_person_has_had_enough(served: Served):
     with served.store.lease(served.run_id):
         page = served.tab("/teach")
         served.shown(page)
-        assert not page.is_visible("#finish")  # nothing was learned yet
+        expect(page.locator("#finish")).to_be_hidden()  # nothing was learned yet
         served.press(page, "1")
         page.click("#finish")
         page.click("#finish-no")
         served.press(page, "1")
         assert not served.store.enough(served.run_id)
         page.click("#finish")
-        assert "2 answers" in page.inner_text("#finishing")
+        expect(page.locator("#finishing")).to_contain_text("2 answers")
         page.click("#finish-yes")
         page.wait_for_selector("#teach[data-mode=waiting][data-state=finishing]")
-        assert served.store.enough(served.run_id) and not page.is_visible("#finish")
+        assert served.store.enough(served.run_id)
+        expect(page.locator("#finish")).to_be_hidden()
         served.store.finish(served.run_id, {}, b"")
         page.wait_for_selector("#teach[data-mode=finished]")
 
@@ -190,14 +193,14 @@ def test_a_page_tells_that_nobody_trains(served: Served):
     for _ in range(6):
         served.press(page, "1")
     page.wait_for_selector("#teach[data-mode=waiting][data-state=stopped]")
-    assert "not running" in page.inner_text("#meanwhile-title")
-    assert f"hiprl resume {served.run_id}" in page.inner_text("#meanwhile-text")
+    expect(page.locator("#meanwhile-title")).to_contain_text("not running")
+    expect(page.locator("#meanwhile-text")).to_contain_text(f"hiprl resume {served.run_id}")
     progress = served.tab("")
     progress.wait_for_selector("#state[data-state=stopped]")
-    assert f"hiprl resume {served.run_id}" in progress.inner_text("#helping")
+    expect(progress.locator("#helping")).to_contain_text(f"hiprl resume {served.run_id}")
     with served.store.lease(served.run_id):
         page.wait_for_selector("#teach[data-mode=waiting][data-state=learning]")
-        assert "Practising" in page.inner_text("#meanwhile-title")
+        expect(page.locator("#meanwhile-title")).to_contain_text("Practising")
 
 
 def test_two_judges_answer_at_once(served: Served):
@@ -219,7 +222,8 @@ def test_the_first_visit_asks_what_is_wanted(made: str, store: Store, browser: A
         tab.fill("#setup-judge", "zoë")
         tab.click("#setup-save")
         served.press(tab, "ArrowRight")
-        assert tab.inner_text("#goal") == "<b>hop</b> & run" == store.goal(run_id)
+        expect(tab.locator("#goal")).to_have_text("<b>hop</b> & run")
+        assert store.goal(run_id) == "<b>hop</b> & run"
         assert [row.judge for row in store.answers(run_id)] == ["zoë"]
         served.contexts[0].close()
         assert not served.troubles
@@ -229,13 +233,15 @@ def test_the_first_visit_asks_what_is_wanted(made: str, store: Store, browser: A
 def test_each_judge_says_a_name_though_the_goal_is_set(served: Served):
     page = served.tab("/teach", judge=None)
     page.wait_for_selector("#setup[open]")
-    assert page.input_value("#setup-goal") == "go along" and page.input_value("#setup-judge") == ""
-    page.keyboard.type("bo")  # the name is what is missing
+    expect(page.locator("#setup-goal")).to_have_value("go along")
+    expect(page.locator("#setup-judge")).to_have_value("")
+    expect(page.locator("#setup-judge")).to_be_focused()  # the name is what is missing
+    page.keyboard.type("bo")
     page.keyboard.press("Enter")
     served.press(page, "1")
     page.reload()
     served.press(page, "1")
-    assert not page.locator("#setup[open]").count()
+    expect(page.locator("#setup[open]")).to_have_count(0)
     other = served.tab("/teach", judge=None)
     other.wait_for_selector("#setup[open]")
     other.keyboard.press("Escape")
@@ -263,7 +269,7 @@ def test_a_double_click_answers_once(served: Served):
         page.evaluate(AGAIN, where)
         page.click(where)
         page.wait_for_function("k => document.getElementById('teach').dataset.question != k", arg=str(k))
-        page.wait_for_timeout(600)
+        page.wait_for_timeout(600)  # in which a second answer would come
         assert len(served.store.answers(served.run_id)) == done + 1, where
 
 
@@ -271,21 +277,23 @@ def test_a_double_click_answers_once(served: Served):
 def test_keys_are_the_pages_again_after_the_mouse(served: Served):
     page = served.tab("/teach")
     k = served.shown(page)
-    playing = lambda: page.get_attribute(".hp-play", "aria-label") == "Pause"
-    for where in (".hp-step", ".hp-play", "#help-open"):
+    now = lambda label: expect(page.locator("#stage .hp-play")).to_have_attribute("aria-label", label)
+    now("Pause")  # it plays
+    for where, label in ((".hp-step", "Play"), (".hp-play", "Play"), ("#help-open", "Pause")):
         page.click(where)
         if where == "#help-open":
             page.keyboard.press("Escape")
-            page.wait_for_selector("#help:not([open])", state="attached")
-        was = playing()
+            expect(page.locator("dialog[open]")).to_have_count(0)
         page.keyboard.press(" ")
-        assert playing() != was and not page.locator("dialog[open]").count(), where
+        now(label)
+        expect(page.locator("dialog[open]")).to_have_count(0)
     page.click(".hp-scrub")
     page.wait_for_function("() => document.activeElement === document.body")
-    assert not playing() and served.press(page, "ArrowLeft") == k
+    now("Play")
+    assert served.press(page, "ArrowLeft") == k
     assert as_shown(served.store, served.run_id, k) == choice(True)
     served.shown(page)
-    assert playing()  # the next pair is not held
+    now("Pause")  # the next pair is not held
     page.keyboard.press(" ")
     page.focus(".hp-scrub")
     page.keyboard.press("ArrowRight")  # who comes by keys stays there
@@ -299,10 +307,10 @@ def test_nothing_moves_where_nobody_wants_it(served: Served):
     page.goto(f"{served.home}/runs/{served.run_id}/teach")
     for label in ("Play", "Pause", "Pause"):
         served.shown(page)
-        assert page.get_attribute(".hp-play", "aria-label") == label
+        expect(page.locator("#stage .hp-play")).to_have_attribute("aria-label", label)
         if label == "Play":
             served.press(page, "1")
-            assert page.get_attribute(".hp-play", "aria-label") == label
+            expect(page.locator("#stage .hp-play")).to_have_attribute("aria-label", label)
             page.keyboard.press(" ")  # who has pressed play wants it
         served.press(page, "1")
 
@@ -314,9 +322,7 @@ def test_an_answer_is_changed_in_review(served: Served):
     page.goto(f"{served.home}/runs/{served.run_id}/review")
     page.click("#list button")
     page.click("#change [data-step='3']")
-    until = time.monotonic() + PATIENCE / 1000
-    while len(served.store.answers(served.run_id)) < 2 and time.monotonic() < until:
-        page.wait_for_timeout(100)
+    until(lambda: len(served.store.answers(served.run_id)) == 2)
     assert [row.answer for row in served.store.answers(served.run_id)][1:] == [level(0, 5)]
 
 
@@ -324,8 +330,7 @@ def test_an_answer_is_changed_in_review(served: Served):
 def test_review_takes_the_same_keys_and_says_what_is_known(served: Served):
     served.store.answer(served.run_id, 1, choice(True), "ada")
     page = served.tab("/review")
-    page.wait_for_function("() => document.getElementById('summary').textContent.trim()")
-    assert page.inner_text("#summary") == "1 answer. It has not looked at it yet."
+    expect(page.locator("#summary")).to_have_text("1 answer. It has not looked at it yet.")
     page.click("#list button")
     page.wait_for_selector("#viewer:not([hidden])")
     changed = "words => document.getElementById('said').textContent.endsWith(words)"
@@ -335,7 +340,7 @@ def test_review_takes_the_same_keys_and_says_what_is_known(served: Served):
         page.keyboard.press("ArrowRight")
         page.wait_for_function(changed, arg="learns from this now.")
     page.keyboard.press(" ")  # the list has not kept it
-    assert page.get_attribute(".hp-play", "aria-label") == "Play"
+    expect(page.locator(".hp-play")).to_have_attribute("aria-label", "Play")
     served.store.finish(served.run_id, {}, b"")
     page.keyboard.press("ArrowDown")
     page.wait_for_function(changed, arg="changes nothing.")
@@ -381,7 +386,7 @@ def test_a_trainer_that_is_killed_loses_nothing_and_the_page_goes_on(made: str, 
         }
         assert store.final(run_id)["comparisons"] == CONFIG.comparisons
         tab.wait_for_selector("#teach[data-mode=finished]")
-        assert f"{CONFIG.comparisons} of {CONFIG.comparisons} answers" in tab.inner_text("#count")
+        expect(tab.locator("#count")).to_contain_text(f"{CONFIG.comparisons} of {CONFIG.comparisons} answers")
         served.contexts[0].close()
         assert not served.troubles
 
@@ -409,14 +414,14 @@ def test_while_there_is_nothing_new_a_doubtful_answer_is_looked_at_again(served:
         page = served.tab("/teach")
         done = [served.press(page, "1") for _ in range(6)]
         page.wait_for_selector("#teach[data-mode=waiting]")
-        assert page.is_visible("#to-review a")
+        expect(page.locator("#to-review a")).to_be_visible()
         served.store.finish_episode(served.run_id, 1, {"k": 1, "disagrees": [done[2]]}, b"1")
         page.wait_for_function("k => document.getElementById('teach').dataset.question == k", arg=str(done[2]))
-        assert "would say otherwise" in page.inner_text("#again-text")
+        expect(page.locator("#again-text")).to_contain_text("would say otherwise")
         served.store.ask(served.run_id, 7, served.store.questions(served.run_id)[0].clips[::-1])
         arrived = "k => document.getElementById('teach').dataset.question == k"
         page.wait_for_function(arrived, arg="7")  # what is new comes by itself
-        assert not page.is_visible("#again")
+        expect(page.locator("#again")).to_be_hidden()
         page.wait_for_timeout(1000)  # a key that was meant for the other pair does not count
         assert served.press(page, "5") == 7
         assert as_shown(served.store, served.run_id, 7) == level(-2, 5)
@@ -431,13 +436,13 @@ def test_what_it_does_now_is_told_where_there_is_nothing_to_see(served: Served):
     page.goto(f"{served.home}/runs/{run_id}/teach")
     page.keyboard.press("Escape")
     page.wait_for_selector("#teach[data-mode=waiting]")
-    assert page.inner_text("#stage") == words
+    expect(page.locator("#stage")).to_have_text(words, use_inner_text=True)
     page.goto(f"{served.home}/runs/{run_id}")
     page.wait_for_selector("#now-nothing:not([hidden])")
-    assert page.inner_text("#now-nothing") == words
+    expect(page.locator("#now-nothing")).to_have_text(words)
     page.goto(f"{served.home}/runs/{served.run_id}")
     page.wait_for_selector("#now canvas")
-    assert not page.is_visible("#now-nothing")
+    expect(page.locator("#now-nothing")).to_be_hidden()
 
 
 @ANY_STORE
@@ -445,9 +450,9 @@ def test_nothing_is_nothing_on_an_axis(served: Served):
     for k, told in enumerate((-0.6, 0.2), 1):
         served.store.finish_episode(served.run_id, k, {"k": k, "true_return": told}, b"%d" % k)
     page = served.tab("")
-    page.wait_for_selector("#truth-chart svg")
-    ticks = page.locator("#truth-chart .tick").all_text_contents()
-    assert "0" in ticks and not any("e-" in tick for tick in ticks)
+    ticks = page.locator("#truth-chart .tick")
+    expect(ticks.filter(has_text=re.compile("^0$"))).not_to_have_count(0)
+    assert not any("e-" in tick for tick in ticks.all_text_contents())
 
 
 @ANY_STORE
@@ -456,6 +461,7 @@ def test_a_long_goal_leaves_room_on_a_phone(served: Served):
     page = served.tab("/teach")
     page.set_viewport_size({"width": 390, "height": 844})
     served.shown(page)
+    expect(page.locator("#goal")).to_contain_text("go along")
     goal = page.evaluate("() => document.getElementById('goal').getBoundingClientRect().height")
     line = page.evaluate("() => parseFloat(getComputedStyle(document.getElementById('goal')).lineHeight)")
     assert goal < 3.5 * line
@@ -468,19 +474,19 @@ def test_a_chosen_step_is_told_from_one_that_is_pointed_at(served: Served):
     page.keyboard.press("z")
     page.wait_for_selector("#strip [aria-pressed=true]")
     page.hover("#strip [data-step='1']")
-    page.wait_for_timeout(300)
     look = lambda step: page.evaluate(
         "step => { const look = getComputedStyle(document.querySelector(step)); return look.boxShadow }", step
     )
     width = lambda step: max(float(x) for x in re.findall(r"([\d.]+)px inset", look(step)))
-    assert width("#strip [data-step='2']") > width("#strip [data-step='1']")
+    page.wait_for_timeout(300)  # colours change slowly
+    until(lambda: width("#strip [data-step='2']") > width("#strip [data-step='1']"))
 
 
 def test_progress_and_the_list_of_runs_are_there(served: Served):
     page = served.tab("")
     page.wait_for_selector("main")
     page.goto(served.home)
-    assert served.run_id in page.inner_text("main") or page.locator(f"a[href*='{served.run_id}']").count()
+    expect(page.locator(f"main a[href*='{served.run_id}']").first).to_be_visible()
 
 
 def serious(page: Any) -> list[str]:
