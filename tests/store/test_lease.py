@@ -69,23 +69,23 @@ def test_a_silent_trainer_elsewhere_is_replaced_when_its_lease_ends(
 ):
     monkeypatch.setattr("hiprl.store.lease.threading.Thread.start", lambda _: None)
     monkeypatch.setattr("hiprl.store.lease.threading.Thread.join", lambda _: None)
-    with store.lease(run_id, owner=ELSEWHERE, seconds=0.2):
+    with store.lease(run_id, owner=ELSEWHERE, seconds=1.0):
         with pytest.raises(InputError, match="is being trained"), store.lease(run_id):
             pass
-        time.sleep(0.25)
+        time.sleep(1.1)
         with store.lease(run_id) as lease:
             lease.renew()
 
 
 def test_a_lease_is_renewed_while_its_holder_is_busy(store: Store, run_id: str):
-    with store.lease(run_id, owner=ELSEWHERE, seconds=0.3):
-        time.sleep(0.6)
+    with store.lease(run_id, owner=ELSEWHERE, seconds=1.5):
+        time.sleep(2.0)
         with pytest.raises(InputError, match="is being trained"), store.lease(run_id):
             pass
 
 
 def test_of_many_that_want_a_run_one_gets_it(store: Store):
-    start, end = Barrier(5, timeout=10), Barrier(5, timeout=10)
+    start, end = Barrier(5, timeout=60), Barrier(5, timeout=60)
 
     def attempt(run_id: str) -> str:
         start.wait()

@@ -184,7 +184,7 @@ def test_padding_is_not_stored(store: Store, run_id: str):
 
 
 def test_two_trainers_that_add_the_same_store_it_once(store: Store):
-    start = Barrier(2, timeout=10)
+    start = Barrier(2, timeout=60)
 
     def train(run_id: str) -> None:
         for number in range(5):
@@ -485,7 +485,7 @@ def test_a_finished_run_keeps_its_summary_and_policy(store: Store, run_id: str):
 
 
 def test_the_secret_of_its_pages_is_made_once_and_stays(made: str, store: Store):
-    start = Barrier(4, timeout=10)
+    start = Barrier(4, timeout=60)
 
     def first() -> str:
         start.wait()

@@ -45,13 +45,13 @@ def test_what_no_browser_sends_gets_no_traceback_and_writes_nothing(tmp_path: Pa
             assert not re.match(rb"HTTP/1\.1 (2|5)", reply), (sent[:80], reply[:80])
             assert b"Traceback" not in reply and run_id.encode() not in reply
         assert not store.answers(run_id) and store.goal(run_id) is None and len(store.questions(run_id)) == 3
-        assert said_to(port, b"GET /enter HTTP/1.1\r\nHost: localhost\r\n\r\n").startswith(b"HTTP/1.1 200")
+        assert said_to(port, b"GET /enter HTTP/1.1\r\nHost: localhost\r\n\r\n", patience=60).startswith(b"HTTP/1.1 200")
         assert len(page.said) == 1, "".join(page.said)  # its address, and nothing else
 
 
-def said_to(port: int, sent: bytes) -> bytes:
+def said_to(port: int, sent: bytes, patience: float = 2) -> bytes:
     """What comes back within a while, or until the line is cut."""
-    with socket.create_connection(("127.0.0.1", port), timeout=2) as line:
+    with socket.create_connection(("127.0.0.1", port), timeout=patience) as line:
         try:
             line.sendall(sent)
             line.shutdown(socket.SHUT_WR)
