@@ -22,8 +22,8 @@ from hiprl.session import spec_of
 from hiprl.store.store import open_store
 from tests.cli.tiny import TINY
 
-KEYS = ["run", "env", "seed", "comparisons", "env_steps", "return_mean", "return_std", "eval_episodes", "wall_seconds"]
-KEYS += ["trajectory", "store"]
+KEYS = ["run", "env", "seed", "comparisons", "env_steps", "return_mean", "return_std", "eval_episodes", "trajectory"]
+KEYS += ["wall_seconds", "store"]
 
 
 @pytest.fixture
