@@ -148,7 +148,7 @@ def test_what_was_only_imagined_is_marked_so(served: Served):
         k = served.shown(page)
         shown = [clip.of == IMAGINED for clip in served.store.questions(served.run_id)[k - 1].clips]
         names = page.locator("#stage figcaption")
-        expect(names).to_contain_text(["Left", "Right"])
+        expect(names).to_have_text([re.compile(rf"^{side}(, |$)") for side in ("Left", "Right")])
         expect(names.filter(has_text="imagined")).to_have_count(sum(shown))
         served.press(page, "e")
 
@@ -478,8 +478,11 @@ def test_a_chosen_step_is_told_from_one_that_is_pointed_at(served: Served):
         "step => { const look = getComputedStyle(document.querySelector(step)); return look.boxShadow }", step
     )
     width = lambda step: max(float(x) for x in re.findall(r"([\d.]+)px inset", look(step)))
-    page.wait_for_timeout(300)  # colours change slowly
-    until(lambda: width("#strip [data-step='2']") > width("#strip [data-step='1']"))
+    page.wait_for_selector("#strip [data-step='1']:hover")
+    page.evaluate(
+        "() => Promise.all(document.getElementById('strip').getAnimations({ subtree: true }).map(one => one.finished))"
+    )
+    assert width("#strip [data-step='2']") > width("#strip [data-step='1']")
 
 
 def test_progress_and_the_list_of_runs_are_there(served: Served):
