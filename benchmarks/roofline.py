@@ -211,7 +211,7 @@ def measure(options: argparse.Namespace) -> Iterator[Measured]:
     repeats = 1 if options.quick else options.repeats
     default = Config(optimism=options.optimism) if options.optimism else Config()
     for preset, config in ("default", default), ("paper", paper(options.env)):
-        model, searching = replace(config.dynamics, patience=10**6), config.search
+        model, searching = config.dynamics, config.search
         if options.quick:
             model = replace(model, cold_steps=200, warm_steps=200)
             short = {

@@ -203,7 +203,6 @@ def paper(env: str) -> Config:
             bootstrap=False,
             warm_steps=800,
             chunk=100,
-            patience=1000,
         ),
         reward=NetworkConfig(),
         search=PAPER_CHEETAH if "HalfCheetah" in env else PAPER_PENDULUM,

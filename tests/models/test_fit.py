@@ -9,10 +9,10 @@ from scipy import stats
 from hiprl.models.fit import fit
 
 
-def run(train_loss, held_out_loss, *, start=5.0, rate=0.1, chunk=7, max_chunks=11, patience=3):
+def run(train_loss, held_out_loss, *, start=5.0, rate=0.1, chunk=7, chunks=11):
     params = {"w": jnp.asarray(start)}
     optimiser = optax.sgd(rate)
-    rest = {"chunk": chunk, "max_chunks": max_chunks, "patience": patience, "key": jr.key(1)}
+    rest = {"chunk": chunk, "chunks": chunks, "key": jr.key(1)}
     return fit(params, train_loss, held_out_loss, optimiser, **rest)
 
 
@@ -23,17 +23,17 @@ def test_a_fit_finds_the_least_loss():
     assert float(report.loss) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_fit_stops_when_the_held_out_loss_stops_falling_and_keeps_the_best():
+def test_a_fit_keeps_what_was_best_on_held_out_data():
     # training pulls w from 5 down to 0; what was held out is best at 3
     params, report = run(lambda params, key: params["w"], lambda params: (params["w"] - 3.0) ** 2)
-    # w falls by 0.7 a chunk: 4.3, 3.6, 2.9 (best), 2.2, 1.5, 0.8, and then patience is at its end
+    # w falls by 0.7 a chunk: 4.3, 3.6, 2.9 (best), and on past it
     assert float(params["w"]) == pytest.approx(2.9, abs=1e-5)
-    assert int(report.steps) == 6 * 7
+    assert int(report.steps) == 11 * 7
     assert float(report.loss) == pytest.approx(0.01, abs=1e-5)
 
 
 def test_a_fit_ends_with_its_last_chunk():
-    _, report = run(lambda params, key: params["w"], lambda params: params["w"], max_chunks=5)
+    _, report = run(lambda params, key: params["w"], lambda params: params["w"], chunks=5)
     assert int(report.steps) == 5 * 7
 
 
@@ -45,11 +45,18 @@ def test_steps_after_the_loss_broke_are_not_kept():
     assert float(params["w"]) == pytest.approx(3.6, abs=1e-5) and np.isfinite(report.loss)
 
 
+def test_what_gets_worse_before_it_gets_better_is_not_given_up():
+    # w goes from 5 down to 0.1, past a hill of the held-out loss that is five chunks wide
+    hill = lambda params: jnp.where((params["w"] > 0.6) & (params["w"] < 4.5), 9.0, params["w"])
+    params, report = run(lambda params, key: params["w"], hill, chunks=7)
+    assert float(params["w"]) == pytest.approx(0.1, abs=1e-5) and float(report.loss) == pytest.approx(0.1, abs=1e-5)
+
+
 def test_each_step_draws_its_own_minibatch():
     # the gradient is a fresh standard normal each step: the sum of 77 of them has their spread
     @jax.jit
     def end(key):
-        rest = {"chunk": 77, "max_chunks": 1, "patience": 1, "key": key}
+        rest = {"chunk": 77, "chunks": 1, "key": key}
         loss = lambda params, key: params["w"] * jr.normal(key)
         params, _ = fit({"w": jnp.zeros(())}, loss, lambda params: 0 * params["w"], optax.sgd(1.0), **rest)
         return params["w"]

@@ -44,13 +44,11 @@ class DynamicsConfig:
     batch: int = 256
     """Rows a member sees in one gradient step."""
     cold_steps: int = 2000
-    """Most gradient steps of the first fit."""
+    """Gradient steps of the first fit."""
     warm_steps: int = 1600
-    """Most gradient steps of each later fit, which starts where the last one ended."""
+    """Gradient steps of each later fit, which starts where the last one ended."""
     chunk: int = 100
     """Gradient steps between two looks at the held-out loss."""
-    patience: int = 4
-    """Looks without a better held-out loss after which a fit stops."""
     held_out: float = 0.1
     """Share of the transitions that no member trains on."""
     bootstrap: bool = True
@@ -112,7 +110,7 @@ def one_cycle(peak: float, steps: Count, now: Count) -> Scalar:
 def estimate_dynamics(
     T: Trajectories, state: DynamicsState, config: DynamicsConfig, *, steps: Count | int, key: Key
 ) -> tuple[DynamicsState, FitReport]:
-    """Fits the ensemble to T, from the weights it has, by at most `steps` gradient steps: whole chunks of them.
+    """Fits the ensemble to T, from the weights it has, by `steps` gradient steps: whole chunks of them.
 
     Where T has spread to far more than it was, it begins with new weights instead, and may take `cold_steps`.
 
@@ -161,8 +159,7 @@ def estimate_dynamics(
         held_out_loss,
         optax.adamw(rate, weight_decay=config.weight_decay),
         chunk=config.chunk,
-        max_chunks=chunks,
-        patience=config.patience,
+        chunks=chunks,
         key=fit_key,
     )
     fitted = eqx.tree_at(net_of, stack, nets)

@@ -76,8 +76,7 @@ def estimate_ending(T: Trajectories, ending: Ending, *, key: Key) -> Ending:
         lambda net: loss(net, *judged),
         optax.adamw(1e-3, weight_decay=1e-3),
         chunk=CHUNK,
-        max_chunks=STEPS // CHUNK,
-        patience=STEPS,
+        chunks=STEPS // CHUNK,
         key=fit_key,
     )
     return Ending(net, inputs, ends.count > 0)

@@ -1,4 +1,4 @@
-"""The one jitted minibatch loop, with early stopping on held-out data."""
+"""The one jitted minibatch loop, which keeps what is best on held-out data."""
 
 from __future__ import annotations
 
@@ -45,11 +45,12 @@ def fit(
     optimiser: optax.GradientTransformation,
     *,
     chunk: int,
-    max_chunks: int | Count,
-    patience: int,
+    chunks: int | Count,
     key: Key,
 ) -> tuple[Params, FitReport]:
-    """Steps on `train_loss` (which draws its own minibatch), in chunks, until `held_out_loss` stops falling.
+    """Steps on `train_loss` (which draws its own minibatch), in chunks; keeps the least `held_out_loss` after any.
+
+    It does not end before, however long nothing gets better: while a rate still rises, all gets worse for a while.
 
     Args:
         params: where to start. Every array in it is trained.
@@ -57,8 +58,7 @@ def fit(
         held_out_loss: judged after each chunk; the parameters with the least are kept.
         optimiser: an optax transformation.
         chunk: gradient steps between two looks at the held-out loss.
-        max_chunks: most chunks.
-        patience: chunks without a better held-out loss after which it stops.
+        chunks: how many; may be traced.
     """
 
     def step(carry: tuple[Params, Any], step_key: Key):
@@ -66,21 +66,15 @@ def fit(
         gradient = jax.grad(train_loss)(params, step_key)
         return descend(optimiser, params, gradient, opt_state), None
 
-    def go_on(state: Any):
-        _, _, _, _, n, since_best, _ = state
-        return (n < max_chunks) & (since_best < patience)
-
-    def one_chunk(state: Any):
-        params, opt_state, best, best_loss, n, since_best, key = state
+    def one_chunk(_: Count, state: Any):
+        params, opt_state, best, best_loss, key = state
         key, chunk_key = jr.split(key)
         (params, opt_state), _ = jax.lax.scan(step, (params, opt_state), jr.split(chunk_key, chunk))
         loss = held_out_loss(params)
         better = loss < best_loss
         best = jax.tree.map(lambda new, old: jnp.where(better, new, old), params, best)
-        since_best = jnp.where(better, 0, since_best + 1)
-        return params, opt_state, best, jnp.where(better, loss, best_loss), n + 1, since_best, key
+        return params, opt_state, best, jnp.where(better, loss, best_loss), key
 
-    zero = jnp.zeros((), jnp.int32)
-    start = (params, descent(optimiser, params), params, jnp.asarray(jnp.inf), zero, zero, key)
-    _, _, best, best_loss, n, _, _ = jax.lax.while_loop(go_on, one_chunk, start)
-    return best, FitReport(loss=best_loss, steps=n * chunk)
+    start = params, descent(optimiser, params), params, jnp.asarray(jnp.inf), key
+    _, _, best, best_loss, _ = jax.lax.fori_loop(0, chunks, one_chunk, start)
+    return best, FitReport(loss=best_loss, steps=jnp.asarray(chunks * chunk))
