@@ -52,6 +52,11 @@ def hopping(poses: np.ndarray) -> float:
     return float(poses[-1, 1, 0] - poses[0, 1, 0]) + len(poses) / 50
 
 
+def standing(poses: np.ndarray) -> float:
+    """How long it stays up, and how near to where it was."""
+    return len(poses) / 50 - abs(float(poses[-1, 1, 0] - poses[0, 1, 0]))
+
+
 def near_the_post(states: np.ndarray) -> float:
     """How close the cart is to the post, over the clip."""
     return -float(np.mean(np.abs(states[:, 0] - 1.0)))
@@ -81,6 +86,7 @@ WISHES = {
     "forward": Wish("HalfCheetah-v5", "run forwards", along(1.0), (8, 7)),
     "backward": Wish("HalfCheetah-v5", "run backwards", along(-1.0), (8, 7)),
     "hop": Wish("Hopper-v5", "hop forwards without falling", hopping, (5, 7)),
+    "stand": Wish("Hopper-v5", "stand on the spot without falling", standing, (5, 7)),
     "swing": Wish("Pendulum-v1", "swing up and stay up", lambda states: float(np.mean(states[:, 0])), (3,)),
     "post": Wish("benchmarks.taught:Cart", "go to the post at 1 and stay there", near_the_post, (2,), 100),
 }
@@ -164,9 +170,9 @@ def main() -> None:
             found = taught(WISHES[name], answers=options.answers, seed=seed, store=str(store))
             report.add(wish=name, env=WISHES[name].env, seed=seed, **found)
     report.notes.append(
-        "by_person: what the person makes of 50 steps of the learned policy (balance, swing: 1 is upright all along; "
-        "forward and backward: m/s; post: minus the metres from it). wait_95: seconds from an answer to the next pair, "
-        "95th percentile."
+        "by_person: what the person makes of 50 steps of the learned policy (balance, stand, swing: 1 is upright all "
+        "along; forward and backward: m/s; post: minus the metres from it). wait_95: seconds from an answer to the "
+        "next pair, 95th percentile."
     )
     report.show()
     report.write(options.json)
