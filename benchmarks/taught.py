@@ -169,6 +169,7 @@ def main() -> None:
             store.unlink(missing_ok=True)
             found = taught(WISHES[name], answers=options.answers, seed=seed, store=str(store))
             report.add(wish=name, env=WISHES[name].env, seed=seed, **found)
+            progress(f"{name}, seed {seed}: {found}")  # all of them take an hour
     report.notes.append(
         "by_person: what the person makes of 50 steps of the learned policy (balance, stand, swing: 1 is upright all "
         "along; forward and backward: m/s; post: minus the metres from it). wait_95: seconds from an answer to the "
