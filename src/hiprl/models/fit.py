@@ -66,7 +66,7 @@ def fit(
         gradient = jax.grad(train_loss)(params, step_key)
         return descend(optimiser, params, gradient, opt_state), None
 
-    def one_chunk(_: Count, state: Any):
+    def one_chunk(_number: Count, state: Any):
         params, opt_state, best, best_loss, key = state
         key, chunk_key = jr.split(key)
         (params, opt_state), _ = jax.lax.scan(step, (params, opt_state), jr.split(chunk_key, chunk))
