@@ -112,7 +112,7 @@ def estimate_dynamics(
 ) -> tuple[DynamicsState, FitReport]:
     """Fits the ensemble to T, from the weights it has, by `steps` gradient steps: whole chunks of them.
 
-    Where T has spread to far more than it was, it begins with new weights instead, and may take `cold_steps`.
+    Where T has spread to far more than it was, it begins with new weights instead, and takes at least `cold_steps`.
 
     Source: HIP-RL Algorithm 1, EstDynamics; Appendix B.
     """

@@ -48,7 +48,7 @@ def fit(
     chunks: int | Count,
     key: Key,
 ) -> tuple[Params, FitReport]:
-    """Steps on `train_loss` (which draws its own minibatch), in chunks; keeps the least `held_out_loss` after any.
+    """Steps on `train_loss` (which draws its own minibatch), in chunks; keeps what has the least `held_out_loss`.
 
     It does not end before, however long nothing gets better: while a rate still rises, all gets worse for a while.
 
@@ -67,14 +67,14 @@ def fit(
         return descend(optimiser, params, gradient, opt_state), None
 
     def one_chunk(_number: Count, state: Any):
-        params, opt_state, best, best_loss, key = state
+        params, opt_state, best, best_loss, steps, key = state
         key, chunk_key = jr.split(key)
         (params, opt_state), _ = jax.lax.scan(step, (params, opt_state), jr.split(chunk_key, chunk))
         loss = held_out_loss(params)
         better = loss < best_loss
         best = jax.tree.map(lambda new, old: jnp.where(better, new, old), params, best)
-        return params, opt_state, best, jnp.where(better, loss, best_loss), key
+        return params, opt_state, best, jnp.where(better, loss, best_loss), steps + chunk, key
 
-    start = params, descent(optimiser, params), params, jnp.asarray(jnp.inf), key
-    _, _, best, best_loss, _ = jax.lax.fori_loop(0, chunks, one_chunk, start)
-    return best, FitReport(loss=best_loss, steps=jnp.asarray(chunks * chunk))
+    start = params, descent(optimiser, params), params, jnp.asarray(jnp.inf), jnp.zeros((), jnp.int32), key
+    _, _, best, best_loss, steps, _ = jax.lax.fori_loop(0, chunks, one_chunk, start)
+    return best, FitReport(loss=best_loss, steps=steps)
