@@ -273,6 +273,26 @@ def test_a_double_click_answers_once(served: Served):
         assert len(served.store.answers(served.run_id)) == done + 1, where
 
 
+CLOSE_AND_PRESS = """() => {
+  document.getElementById("help").close();  // its button has the focus still, until the page is drawn again
+  const press = new KeyboardEvent("keydown", { key: " ", bubbles: true, cancelable: true });
+  document.activeElement.dispatchEvent(press);
+  return press.defaultPrevented;
+}"""
+
+
+@ANY_STORE
+def test_a_key_right_after_a_dialog_is_the_pages(served: Served):
+    page = served.tab("/teach")
+    served.shown(page)
+    button = page.locator("#stage .hp-play")
+    expect(button).to_have_attribute("aria-label", "Pause")
+    page.click("#help-open")
+    assert page.evaluate(CLOSE_AND_PRESS)
+    expect(button).to_have_attribute("aria-label", "Play")
+    expect(page.locator("dialog[open]")).to_have_count(0)
+
+
 @ANY_STORE
 def test_keys_are_the_pages_again_after_the_mouse(served: Served):
     page = served.tab("/teach")

@@ -506,7 +506,7 @@ class Teaching {
     const inHelp = find("help").open;
     if (document.querySelector("dialog[open]") && !(inHelp && event.key === "h")) return;
     const { target, key } = event;
-    const tag = target.tagName;
+    const tag = inHelp || !target.closest("dialog") ? target.tagName : ""; // a closed one has the focus for a frame
     if (tag === "TEXTAREA" || tag === "SELECT" || (tag === "INPUT" && target.type !== "range")) return;
     if (tag === "INPUT" && /^(Arrow|Home|End|Page)/.test(key)) return;
     if ((tag === "BUTTON" || tag === "A" || tag === "SUMMARY") && (key === " " || key === "Enter")) return;
