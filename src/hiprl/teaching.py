@@ -58,7 +58,7 @@ KEPT = 0.5  # share of the questions, the last ones, that is kept until there is
 REHEARSALS = 3  # episodes of practice that are something new
 FIRST = 4  # answers before the first search: by fewer, anything could be wanted
 AGAIN = 6  # one question in so many is one that was answered, for another judge: do they agree?
-TRIES = 10  # to find a question that was not asked before
+TRIES = 10  # to find a question that was not asked before: some are about two trajectories alone
 PRACTICE = 4  # episodes without news (an answer, or a better policy by r̂) after which practising waits for an answer
 LITTLE = 0.01  # of what was gained so far: less is no news
 LOOK = 0.2  # seconds between two looks for answers
@@ -202,14 +202,22 @@ class Asking:
     def _ask(self, k: int, before: set[frozenset[ClipRow]]) -> frozenset[ClipRow] | None:
         """Asks something new; None if there is nothing before the next episode."""
         run = self.known.run
+        shown = stacked(before, room=self.config.comparisons, items=self.config.question.items)
         for try_key in jr.split(jr.fold_in(self.key, k), TRIES):
-            clips = pick_clips(run.T, run.reward, self.config.question, key=try_key)
+            clips = pick_clips(run.T, run.reward, self.config.question, before=shown, key=try_key)
             each = zip(clips.of, clips.start, clips.length, strict=True)
             rows = [clip_row(Clip(*one)) for one in each]
             if frozenset(rows) not in before:
                 self.store.ask(self.row.id, k, rows)
                 return frozenset(rows)
         return None
+
+
+def stacked(asked: set[frozenset[ClipRow]], *, room: int, items: int) -> Clip:
+    """What was asked, a row a question, with rows of nothing at the end: one shape, one compilation."""
+    rows = [[(clip.of, clip.start, 0) for clip in clips] for clips in asked if len(clips) == items]
+    plain = np.array([*rows, *[[(-1, 0, 0)] * items] * (room - len(rows))], np.int32)
+    return Clip(*(jnp.asarray(x) for x in np.moveaxis(plain, 2, 0)))
 
 
 def sides_of(run: Run, questions: list[QuestionRow]) -> dict[int, float]:

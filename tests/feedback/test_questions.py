@@ -87,6 +87,24 @@ def test_the_question_picked_is_worth_most(T, reward):
     assert best > np.quantile(np.asarray(worth(others)), 0.8)
 
 
+def test_what_was_asked_is_the_last_to_be_asked_again(T, reward):
+    config, asked = replace(TELLING, clip=None, candidates=1000), set()
+    first = pick_clips(T, reward, config, key=jr.key(0))
+    assert same_pair(first, pick_clips(T, reward, config, key=jr.key(1)))  # with few pairs one is always the best
+    for k in range(45):  # ten trajectories have so many pairs
+        rows = [sorted(pair, reverse=k % 2 > 0) for pair in asked] + [(-1, -1)] * (45 - len(asked))
+        new = pick_clips(T, reward, config, before=Clip.whole(jnp.asarray(rows)), key=jr.key(k))
+        pair = frozenset(new.of.tolist())
+        assert len(pair) == 2 and pair not in asked
+        asked.add(pair)
+    rows = [sorted(pair) for pair in asked]
+    assert len(set(pick_clips(T, reward, config, before=Clip.whole(jnp.asarray(rows)), key=jr.key(7)).of.tolist())) == 2
+
+
+def same_pair(clips, others):
+    return set(clips.of.tolist()) == set(others.of.tolist())
+
+
 def test_what_is_known_of_a_question_is_what_the_reward_says_of_its_clips(T, reward):
     config = replace(TELLING, levels=None)  # then the worth is the log of σ_g, where the unit is known
     reward = eqx.tree_at(lambda r: r.errors.spread, reward, jnp.zeros(()))

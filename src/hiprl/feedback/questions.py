@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from hiprl.data.preference import WHOLE, Clip
 from hiprl.data.trajectory_set import Trajectories
@@ -24,6 +24,7 @@ Pick: TypeAlias = Literal["uniform", "information"]
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
 """Of the expectation over a standard normal."""
 POOL = 512  # clips of which questions are made: 130,000 pairs
+AGAIN = 1e6  # nats that a question is worth less which was asked before: it is the last resort
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,8 +83,16 @@ class Questions(NamedTuple):
 
 
 @partial(jax.jit, static_argnames=("config",))
-def pick_clips(T: Trajectories, reward: EstimatedReward, config: QuestionConfig, *, key: Key) -> Clip:
+def pick_clips(
+    T: Trajectories, reward: EstimatedReward, config: QuestionConfig, *, before: Clip | None = None, key: Key
+) -> Clip:
     """The clips to ask about, stacked; the newest trajectory of T is among them where nothing else is asked for.
+
+    Args:
+        T: the trajectories.
+        reward: what is believed of the reward.
+        config: what is asked.
+        before: what questions have shown, a row each, not to be asked again while anything else tells something.
 
     Source: HIP-RL Algorithm 1 (τ ~ T) for `uniform`; expected information (BALD), Houlsby et al. (2011).
     """
@@ -96,7 +105,15 @@ def pick_clips(T: Trajectories, reward: EstimatedReward, config: QuestionConfig,
     aligned = _aligned(T, config, T.last, best, key=aligned_key)
     asked = jax.tree.map(partial(jnp.where, jr.bernoulli(kind_key, config.aligned)), aligned, anything)
     worth = information(T, reward, asked, config)
+    if before is not None:
+        worth = worth - AGAIN * was_asked(asked.clips_of(asked.shown), before)
     return asked.clips_of(asked.shown[jnp.argmax(worth)])
+
+
+def was_asked(clips: Clip, before: Clip) -> Bool[Array, " n"]:
+    """Whether the clips in each row are those of a row of `before`, in any order."""
+    same = [x[:, None, :, None] == y[None, :, None] for x, y in ((clips.of, before.of), (clips.start, before.start))]
+    return jnp.any(jnp.all(jnp.any(same[0] & same[1], axis=3), axis=2), axis=1)
 
 
 def _uniform(T: Trajectories, config: QuestionConfig, *, key: Key) -> Clip:
