@@ -5,12 +5,21 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from hiprl.models.network import MLP, Scaler, state_action_scaler, state_scaler, step_scaler
+from hiprl.models.network import ACTIVATIONS, MLP, Scaler, state_action_scaler, state_scaler, step_scaler
 from tests.data.samples import lengths, p, q, seeds, set_of, trajectory
 
 
 def scaler(rng, n):
     return Scaler(jnp.asarray(rng.normal(size=n), jnp.float32), jnp.asarray(rng.uniform(0.2, 5, n), jnp.float32))
+
+
+@pytest.mark.parametrize("name", ["elu", "silu"])
+def test_value_slope_and_bend_of_an_activation_are_those_that_jax_finds(name):
+    x = jnp.asarray([-100.0, -10.0, -2.0, -0.3, -1e-4, 1e-4, 0.3, 2.0, 10.0, 100.0])
+    ours, jaxs = ACTIVATIONS[name], getattr(jax.nn, name)
+    for _ in range(3):
+        np.testing.assert_allclose(jax.vmap(ours)(x), jax.vmap(jaxs)(x), rtol=1e-5, atol=1e-6)
+        ours, jaxs = jax.grad(ours), jax.grad(jaxs)
 
 
 @given(seeds)
