@@ -99,7 +99,7 @@ def one_task(task: str, options: argparse.Namespace, report: Report) -> None:
     made = setting(task, replace(config, search=gradient), key=key)
     compile_s, took = search_by_us(made, gradient, key=key, repeats=repeats)
     updates = gradient.settling + gradient.chunks * gradient.updates
-    steps = updates * config.dynamics.M * gradient.breadth(made.world.p) * gradient.steps
+    steps = updates * config.dynamics.M * gradient.rollouts * gradient.steps
     report.add(**about, search="hiprl gradient, default", **numbers(steps, compile_s, took, None))
 
 

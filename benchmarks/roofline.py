@@ -85,9 +85,9 @@ def fit_work(config: DynamicsConfig, p: int, q: int) -> Work:
 def gradient_work(config: GradientConfig, made: Setting) -> Work:
     """An update of the search by gradients, with its share of a trial and of what comes before the first update."""
     p, size, M, dynamics, everywhere = shapes(made)
-    n = M * config.breadth(p)
+    n = M * config.rollouts
     policy, value = (p, *config.layers(p), 2 * size), (p, *config.layers(p), 1)
-    rows = n if everywhere else config.breadth(p)
+    rows = n if everywhere else config.rollouts
     step = network(M, rows, dynamics, inputs=True) + network(1, n, policy, weights=True, inputs=True)
     plain = network(M, rows, dynamics) + network(1, n, policy)  # while the value settles
     trial = network(M, config.trial_starts, dynamics) + network(1, M * config.trial_starts, policy)

@@ -43,9 +43,8 @@ class GradientConfig:
     """Looks at the policy in every member during one search, at most."""
     updates: int = 100
     """Policy updates between two looks."""
-    rollouts: int | None = None
-    """Imagined rollouts an update, for each of the M members; None for 100, or for 50 where a state has 8 entries at
-    most."""
+    rollouts: int = 50
+    """Imagined rollouts an update, for each of the M members."""
     steps: int = 5
     """Of an imagined rollout; the value stands for what follows. Through more steps, gradients are mostly noise."""
     policy_rate: float = 3e-4
@@ -82,11 +81,6 @@ class GradientConfig:
         """Units of the hidden layers, where a state has `p` entries."""
         usual = (64, 64) if p <= FEW else (128, 128)
         return usual if self.hidden is None else self.hidden
-
-    def breadth(self, p: int) -> int:
-        """Imagined rollouts an update, in each member, where a state has `p` entries."""
-        usual = 50 if p <= FEW else 100
-        return usual if self.rollouts is None else self.rollouts
 
     def discount(self, H: int) -> float:
         """γ in episodes of at most H steps."""
@@ -188,7 +182,7 @@ def gradient_search(
     over_rollouts = jax.vmap(imagine, in_axes=(None, None, None, 0, 0))
     over_worlds = jax.vmap(over_rollouts, in_axes=(axis, None, None, 0, 0))
 
-    shape = M, config.breadth(starts.scaler.size)
+    shape = M, config.rollouts
 
     def draw_starts(learner: Learner, key: Key) -> Float[Array, "M n p"]:
         seen_key, first_key, which_key, on_key = jr.split(key, 4)
