@@ -49,11 +49,12 @@ def test_versions_name_all_that_a_draw_depends_on():
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        (lambda plain: plain | {"part": "NewConfig"}, "NewConfig"),
-        (lambda plain: plain | {"new_setting": 3}, "new_setting"),
-        (lambda plain: plain | {"plan": plain["plan"] | {"depth": 3}}, "depth"),
+        (lambda plain: plain | {"part": "NewConfig"}, "NewConfig is unknown"),
+        (lambda plain: plain | {"new_setting": 3}, "new_setting is unknown"),
+        (lambda plain: plain | {"plan": plain["plan"] | {"depth": 3}}, "depth is unknown"),
+        (lambda plain: plain | {"search": plain["search"] | {"rollouts": None}}, "rollouts has no value"),
     ],
 )
-def test_settings_of_a_newer_version_are_named(change, named):
-    with pytest.raises(StoreError, match=rf"have {named}, which this version .* install a newer one"):
+def test_settings_of_another_version_are_named(change, named):
+    with pytest.raises(StoreError, match=rf"another version of hiprl: {named}\. Go on with the version that made"):
         from_plain(change(to_plain(Config())))

@@ -46,19 +46,27 @@ def from_plain(plain: Any) -> Any:
     """The config that `to_plain` was given.
 
     Raises:
-        StoreError: it has parts or settings that this version of hiprl does not know.
+        StoreError: it has what this version of hiprl does not know, or leaves open what needs a value.
     """
     if isinstance(plain, Mapping):
         name, settings = plain["part"], {name: from_plain(value) for name, value in plain.items() if name != "part"}
         part = _PARTS.get(name)
-        strange = [name] if part is None else sorted(set(settings) - {field.name for field in dataclasses.fields(part)})
+        strange = [f"{name} is unknown"] if part is None else strange_in(settings, part)
         if part is None or strange:
             raise StoreError(
-                f"the run's settings have {', '.join(strange)}, which this version of hiprl does not know; the run can "
-                f"go on with the version that made it. This is hiprl {version('hiprl')}: install a newer one."
+                f"the run's settings are those of another version of hiprl: {', '.join(strange)}. "
+                f"Go on with the version that made the run, or begin a new one with this, hiprl {version('hiprl')}."
             )
         return part(**settings)
     return tuple(plain) if isinstance(plain, list) else plain
+
+
+def strange_in(settings: Mapping[str, Any], part: type[Any]) -> list[str]:
+    """What is wrong with the settings of a part: those that it does not have, and those that need a value."""
+    types = {field.name: str(field.type) for field in dataclasses.fields(part)}
+    unknown = [f"{name} is unknown" for name in settings if name not in types]
+    missing = [name for name, value in settings.items() if value is None and "None" not in types.get(name, "None")]
+    return sorted([*unknown, *(f"{name} has no value" for name in missing)])
 
 
 def versions() -> dict[str, str]:
