@@ -5,6 +5,9 @@ of the ensemble's fit, an update of a search) is listed with its shape, and time
 loop: so many seconds would the unit take if nothing else cost anything. The share is that over what it takes.
 Counted are all layers forward and, where there is a gradient, backward to inputs and to weights; not counted is what
 is no matrix product: activations, draws, the optimiser, the reward's features.
+
+A machine that others use too is now faster, now slower: in each round a program runs once and its products right
+after it, and the median of the rounds' shares counts.
 """
 
 from __future__ import annotations
@@ -12,12 +15,14 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
+from statistics import median
 from typing import TYPE_CHECKING, Any, Literal
 
-from benchmarks.common import Report, Timed, add_core, one_core, parser, progress, timed
+from benchmarks.common import Report, add_core, one_core, parser, progress, timed
 
 if TYPE_CHECKING:
     from benchmarks.setting import Setting
@@ -25,7 +30,7 @@ if TYPE_CHECKING:
     from hiprl.control.ppo import PPOConfig
     from hiprl.models.dynamics import DynamicsConfig
 
-SECONDS = 0.2  # that one product is repeated for, three times
+SECONDS = 0.2  # that one product is repeated for, in each round
 LARGE = 1024  # side of the square product shown for comparison
 
 
@@ -130,63 +135,74 @@ def shapes(made: Setting) -> tuple[int, int, int, tuple[int, ...], bool]:
     return p, made.world.q + f_tilde.eta_size, made.dynamics.ensemble.M, sizes, f_tilde.mode != "thompson"
 
 
-def seconds_alone(product: Product) -> float:
-    """How long one such product takes, repeated in one compiled loop."""
-    import jax
-    import jax.numpy as jnp
-    import jax.random as jr
+class Alone:
+    """One such product, repeated in one compiled loop."""
 
-    M, B, i, o = product.M, product.B, product.i, product.o
-    left_shape, right_shape, spec = {
-        "forward": ((M, B, i), (M, i, o), "mbi,mio->mbo"),
-        "to input": ((M, B, o), (M, i, o), "mbo,mio->mbi"),
-        "to weight": ((M, B, i), (M, B, o), "mbi,mbo->mio"),
-    }[product.kind]
-    if M == 1:
-        left_shape, right_shape, spec = left_shape[1:], right_shape[1:], spec.replace("m", "")
-    left_key, right_key = jr.split(jr.key(0))
-    left, right = jr.normal(left_key, left_shape), jr.normal(right_key, right_shape)
+    def __init__(self, product: Product) -> None:
+        import jax
+        import jax.numpy as jnp
+        import jax.random as jr
 
-    @jax.jit
-    def loop(left: Any, right: Any, n: Any) -> Any:
-        def body(_: Any, carry: tuple[Any, Any]) -> tuple[Any, Any]:
-            left, out = carry
-            left = left.at[(0,) * left.ndim].set(1e-3 * out[(0,) * out.ndim])  # so that no product can be left out
-            return left, jnp.einsum(spec, left, right)
+        M, B, i, o = product.M, product.B, product.i, product.o
+        left_shape, right_shape, spec = {
+            "forward": ((M, B, i), (M, i, o), "mbi,mio->mbo"),
+            "to input": ((M, B, o), (M, i, o), "mbo,mio->mbi"),
+            "to weight": ((M, B, i), (M, B, o), "mbi,mbo->mio"),
+        }[product.kind]
+        if M == 1:
+            left_shape, right_shape, spec = left_shape[1:], right_shape[1:], spec.replace("m", "")
+        left_key, right_key = jr.split(jr.key(0))
+        self.pair = jr.normal(left_key, left_shape), jr.normal(right_key, right_shape)
 
-        return jax.lax.fori_loop(0, n, body, (left, jnp.einsum(spec, left, right)))
+        @jax.jit
+        def loop(left: Any, right: Any, n: Any) -> Any:
+            def body(_: Any, carry: tuple[Any, Any]) -> tuple[Any, Any]:
+                left, out = carry
+                left = left.at[(0,) * left.ndim].set(1e-3 * out[(0,) * out.ndim])  # so that none can be left out
+                return left, jnp.einsum(spec, left, right)
 
-    jax.block_until_ready(loop(left, right, 1))
-    n = 4
-    while (took := seconds(loop, left, right, n)) < SECONDS / 10:
-        n *= 4
-    n = max(1, int(n * SECONDS / took))
-    return min(seconds(loop, left, right, n) for _ in range(3)) / n
+            return jax.lax.fori_loop(0, n, body, (left, jnp.einsum(spec, left, right)))
 
+        self.loop, self.n = loop, 1
+        self.seen: list[float] = []
+        self.seconds()
+        self.n = 4
+        while (took := self.n * self.seconds()) < SECONDS / 10:
+            self.n *= 4
+        self.n = max(1, int(self.n * SECONDS / took))
+        self.seen.clear()
 
-def seconds(loop: Any, *arguments: Any) -> float:
-    """Seconds of one call."""
-    return timed(lambda: loop(*arguments), repeats=1).seconds
-
-
-def alone(works: list[Work]) -> dict[Product, float]:
-    """Seconds of each product that occurs."""
-    products = list(dict.fromkeys(product for work in works for product in work))
-    progress(f"{len(products)} products, each alone")
-    return {product: seconds_alone(product) for product in products}
+    def seconds(self) -> float:
+        """How long one product takes now."""
+        self.seen.append(timed(lambda: self.loop(*self.pair, self.n), repeats=1).seconds / self.n)
+        return self.seen[-1]
 
 
 @dataclass
 class Measured:
-    """A fit or a search: its products, and what it took."""
+    """A fit or a search: its products, and what it takes."""
 
     name: str
     unit: str
     work: Work
     units: int
-    """Units of work in the program that was timed."""
+    """In one run of the program."""
     compile_s: float
-    took: Timed
+    run: Callable[[], Any]
+    takes: list[float] = field(default_factory=list)
+    """Seconds a unit, in each round."""
+    products: list[float] = field(default_factory=list)
+    """Seconds of its products alone, right after."""
+
+    @property
+    def flops(self) -> int:
+        """Of a unit."""
+        return sum(product.flops * count for product, count in self.work.items())
+
+    def once(self, alone: dict[Product, Alone]) -> None:
+        """A run of the program, and each of its products, while the machine is as fast as it is now."""
+        self.takes.append(timed(self.run, repeats=1).seconds / self.units)
+        self.products.append(sum(alone[product].seconds() * count for product, count in self.work.items()))
 
 
 def compiled(lowered: Any) -> tuple[Any, float]:
@@ -208,7 +224,6 @@ def measure(options: argparse.Namespace) -> Iterator[Measured]:
 
     jax.config.update("jax_enable_compilation_cache", False)
     key = jr.key(options.seed)
-    repeats = 1 if options.quick else options.repeats
     default = Config(optimism=options.optimism) if options.optimism else Config()
     for preset, config in ("default", default), ("paper", paper(options.env)):
         model, searching = config.dynamics, config.search
@@ -223,24 +238,21 @@ def measure(options: argparse.Namespace) -> Iterator[Measured]:
         p, q = made.world.p, made.world.q
 
         jax.clear_caches()  # the setting has built the same program
-        progress(f"{preset}: fit of the ensemble")
+        progress(f"{preset}: compiles its fit of the ensemble")
         steps = model.warm_steps
         program, compile_s = compiled(estimate_dynamics.lower(made.T, made.dynamics, model, steps=steps, key=key))
-        program(made.T, made.dynamics, steps=steps, key=key)
-        took = timed(lambda: program(made.T, made.dynamics, steps=steps, key=key), repeats=repeats)  # noqa: B023
-        yield Measured(f"{preset}: fit", "gradient step", fit_work(model, p, q), steps, compile_s, took)
+        run = partial(program, made.T, made.dynamics, steps=steps, key=key)
+        yield Measured(f"{preset}: fit", "gradient step", fit_work(model, p, q), steps, compile_s, run)
 
-        progress(f"{preset}: search")
+        progress(f"{preset}: compiles its search")
         arguments = (made.f_tilde, made.reward, made.ends, made.T, made.state)
         program, compile_s = compiled(search.lower(*arguments, searching, key=key))
-        program(*arguments, key=key)
-        took = timed(lambda: program(*arguments, key=key), repeats=repeats)  # noqa: B023
         if preset == "default":
             work, unit, units = gradient_work(searching, made), "update", searching.chunks * searching.updates
         else:
             units = -(-searching.total_timesteps // searching.n_steps)
             work, unit = ppo_work(searching, made), "iteration"
-        yield Measured(f"{preset}: search", unit, work, units, compile_s, took)
+        yield Measured(f"{preset}: search", unit, work, units, compile_s, partial(program, *arguments, key=key))
 
 
 def main() -> None:
@@ -249,7 +261,7 @@ def main() -> None:
     made.add_argument("--env", default="HalfCheetah-v5", help="whose shapes and data")
     made.add_argument("--optimism", default=None, help="mode of the default's search (default: the preset's own)")
     made.add_argument("--seed", type=int, default=0, help="of data, models and searches")
-    made.add_argument("--repeats", type=int, default=3, help="runs, of which the fastest counts")
+    made.add_argument("--rounds", type=int, default=5, help="rounds, of which the median counts")
     made.add_argument("--products", action="store_true", help="also show each product")
     add_core(made)
     options = made.parse_args()
@@ -259,35 +271,47 @@ def main() -> None:
 
     found = list(measure(options))
     large = Product(1, LARGE, LARGE, LARGE, "forward")
-    each = alone([*(one.work for one in found), Counter({large: 1})])
+    products = list(dict.fromkeys([product for one in found for product in one.work] + [large]))
+    progress(f"compiles {len(products)} products, each alone")
+    alone = {product: Alone(product) for product in products}
+    rounds = 1 if options.quick else options.rounds
+    for one in found:
+        timed(one.run, repeats=1)  # the first call of a program is slower
+    for now in range(rounds):
+        progress(f"round {now + 1} of {rounds}")
+        for one in found:
+            one.once(alone)
+        alone[large].seconds()
+
     report = Report(f"{options.env}: share of the matrix-product rate at the same shapes")
     for one in found:
-        flops = sum(product.flops * count for product, count in one.work.items())
-        ideal = sum(each[product] * count for product, count in one.work.items())
-        took = one.took.seconds / one.units
+        shares = [products / takes for products, takes in zip(one.products, one.takes, strict=True)]
         report.add(
             what=one.name,
             unit=one.unit,
-            mflop=flops / 1e6,
-            products_ms=1e3 * ideal,
-            takes_ms=1e3 * took,
-            attainable_gflop_s=flops / ideal / 1e9,
-            reached_gflop_s=flops / took / 1e9,
-            share=ideal / took,
+            mflop=one.flops / 1e6,
+            products_ms=1e3 * median(one.products),
+            takes_ms=1e3 * median(one.takes),
+            attainable_gflop_s=one.flops / median(one.products) / 1e9,
+            reached_gflop_s=one.flops / median(one.takes) / 1e9,
+            share=median(shares),
+            least=min(shares),
+            most=max(shares),
             compile_s=one.compile_s,
         )
+    each = {product: median(one.seen) for product, one in alone.items()}
     report.notes.append(
         f"The same machine gives {large.flops / each[large] / 1e9:.0f} GFLOP/s on a square product of {LARGE}. "
         "Times are CPU seconds (on a GPU: seconds); compile_s is spent once a run at most."
     )
     report.show()
-    products = [
+    rows = [
         {**vars(product), "us": 1e6 * s, "gflop_s": product.flops / s / 1e9, "in": uses(product, found)}
         for product, s in each.items()
     ]
     if options.products:
-        Report("The products alone", products).show()
-    report.write(options.json, seed=options.seed, repeats=options.repeats, products=products)
+        Report("The products alone", rows).show()
+    report.write(options.json, seed=options.seed, rounds=rounds, products=rows)
 
 
 def uses(product: Product, found: list[Measured]) -> str:

@@ -44,7 +44,7 @@ def test_a_network_counts_its_products():
 @pytest.mark.slow
 def test_a_product_alone_takes_some_time(kind, monkeypatch):
     monkeypatch.setattr(roofline, "SECONDS", 0.001)
-    assert 0 < roofline.seconds_alone(Product(3, 7, 5, 11, kind)) < 1
+    assert 0 < roofline.Alone(Product(3, 7, 5, 11, kind)).seconds() < 1
 
 
 def test_solved_means_for_good():
