@@ -7,6 +7,7 @@ from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 from jaxtyping import Key as KeyOf
 
@@ -48,6 +49,10 @@ class Reward(eqx.Module):
     @abstractmethod
     def __call__(self, s: State, a: Action) -> Scalar:
         """r̂(s, a), in the judge's unit a step."""
+
+    def of_steps(self, s: Float[Array, "*n p"], a: Float[Array, "*n q"]) -> Float[Array, " *n"]:
+        """The same of many steps at once, for which there may be a faster way than one after the other."""
+        return jnp.vectorize(self, signature="(p),(q)->()")(s, a)
 
 
 class Policy(eqx.Module):

@@ -1,3 +1,5 @@
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -6,7 +8,7 @@ import pytest
 from hypothesis import given
 
 from hiprl.models.evidence import features_of
-from hiprl.models.features import INSIDE, REACH, WAVES, Kernel, spectrum, waves
+from hiprl.models.features import INSIDE, REACH, WAVES, Kernel, functions, spectrum, waves
 from hiprl.models.sums import steps_of
 from tests.data.samples import clean, p, q, seeds, set_of, trajectory
 
@@ -67,6 +69,20 @@ def test_the_short_way_to_a_reward_is_the_long_way(features, phi, seed):
     weights = jnp.asarray(rng.normal(size=features.size), jnp.float32)
     long = float(np.asarray(phi(s, a), float) @ np.asarray(weights, float))
     assert float(features.dot(s, a, weights)) == pytest.approx(long, rel=1e-3, abs=1e-3)
+
+
+def test_a_function_has_the_slope_of_its_waves():
+    rng = np.random.default_rng(2)
+    x = jnp.asarray(rng.uniform(-1.1 * REACH, 1.1 * REACH, 37), jnp.float32)
+    weights = jnp.asarray(rng.normal(size=(1 + WAVES, 1)), jnp.float32)
+
+    def by_waves(x):
+        return jnp.sum(weights * jnp.stack([x, *waves(x)]), axis=0)
+
+    slope = lambda f: jax.jit(jax.grad(lambda x: jnp.sum(jnp.cos(f(x)))))(x)
+    np.testing.assert_allclose(functions(x, weights), by_waves(x), atol=1e-4)
+    np.testing.assert_allclose(slope(partial(functions, weights=weights)), slope(by_waves), atol=1e-3)
+    assert (np.abs(x) > INSIDE).any()
 
 
 def test_padding_changes_no_feature(T, features):

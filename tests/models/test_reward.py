@@ -207,6 +207,20 @@ def test_an_imagined_reward_stays_near_the_rewards_seen(T):
     )
 
 
+def test_many_steps_are_rewarded_as_one_is(T):
+    reward = estimate_additive_reward(said(T, bent_truth), T, ONE)
+    rng = np.random.default_rng(5)
+    s, a = (
+        jnp.asarray(rng.normal(0, 3, (3, 5, 2, p)), jnp.float32),
+        jnp.asarray(rng.normal(size=(3, 5, 2, q)), jnp.float32),
+    )
+    one = jax.vmap(jax.vmap(jax.vmap(reward)))
+    size = float(jnp.max(jnp.abs(one(s, a))))
+    np.testing.assert_allclose(reward.of_steps(s, a), one(s, a), atol=1e-4 * size)
+    slopes = [jax.grad(lambda s: jnp.sum(f(s, a) ** 2))(s) for f in (reward.of_steps, one)]
+    np.testing.assert_allclose(*slopes, atol=1e-3 * float(jnp.max(jnp.abs(slopes[1]))))
+
+
 def test_what_was_only_imagined_sets_neither_the_range_nor_the_unit(T):
     dreams = jnp.arange(T.capacity) == PAIRS[-1][0]
     marked = eqx.tree_at(lambda T: T.rows.imagined, T, dreams)

@@ -22,7 +22,7 @@ import jax.random as jr
 import optax
 from jaxtyping import Array, Float, Int
 
-from hiprl.control.imagined import Chance, Ends, SearchReport, SearchState, Starts, along, report_of, trials
+from hiprl.control.imagined import Chance, Ends, SearchReport, SearchState, Starts, along, report_of, rollouts, trials
 from hiprl.control.policy import SquashedPolicy, Value
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.fit import descend, descent
@@ -151,38 +151,36 @@ def gradient_search(
     policy_opt = optax.chain(optax.clip_by_global_norm(config.max_gradient), optax.adam(config.policy_rate))
     value_opt = optax.adam(config.value_rate)
 
-    def imagine(world: Hallucinated, policy: SquashedPolicy, target: Value, s_0: State, draws: tuple[Array, Array]):
-        """States, TD(λ) returns, how much of each is V, and weights along one rollout; where it ended, alive or not.
+    shape = M, config.rollouts
 
-        The returns carry the policy's gradient.
+    def imagine(policy: SquashedPolicy, target: Value, s_0: Float[Array, "M n p"], draws: tuple[Array, Array]):
+        """States, TD(λ) returns, how much of each is V, and weights of imagined rollouts; where they end, alive or not.
+
+        The returns carry the policy's gradient. Time comes first, then members, then rollouts.
         """
 
         # What one step needs of the one before, and no more: the rest is cheaper for all steps at once.
-        def step(s: State, now: tuple[Float[Array, " size"], State]):
+        def step(world: Hallucinated, s: State, now: tuple[Float[Array, " size"], State]):
             act_draw, f_draw = now
             u, log_prob = policy.with_log_prob(s, act_draw)
             s_next, bonus = world.step(s, u, draw=f_draw, value=target)
             return s_next, (s, world.split(u)[0], s_next, bonus - config.entropy * unit * log_prob)
 
-        _, (s, a, s_next, extra) = jax.lax.scan(step, s_0, draws)
-        r = jax.vmap(reward)(s, a) + extra
+        s, a, s_next, extra = rollouts(step, worlds, s_0, draws, axis=axis)
+        r = reward.of_steps(s, a) + extra
         on, alive = along(ends, s, a, s_next)
-        v_next = jax.vmap(target)(s_next)
+        v_next = jnp.vectorize(target, signature="(p)->()")(s_next)
 
-        def backward(after: tuple[Scalar, Scalar], now: tuple[Scalar, Scalar, Scalar]):
+        def backward(after: tuple[Array, Array], now: tuple[Array, Array, Array]):
             r, on, v = now
             mixed = lambda v, after: gamma * on * ((1 - config.lambda_) * v + config.lambda_ * after)
             both = r + mixed(v, after[0]), mixed(1.0, after[1])
             return both, both
 
-        _, (returns, of_value) = jax.lax.scan(backward, (v_next[-1], jnp.ones(())), (r, on, v_next), reverse=True)
+        last = v_next[-1], jnp.ones(shape)
+        _, (returns, of_value) = jax.lax.scan(backward, last, (r, on, v_next), reverse=True)
         end = jax.lax.stop_gradient((s_next[-1], alive[-1] * on[-1]))
         return jax.lax.stop_gradient(s), returns, of_value, alive, end
-
-    over_rollouts = jax.vmap(imagine, in_axes=(None, None, None, 0, 0))
-    over_worlds = jax.vmap(over_rollouts, in_axes=(axis, None, None, 0, 0))
-
-    shape = M, config.rollouts
 
     def draw_starts(learner: Learner, key: Key) -> Float[Array, "M n p"]:
         seen_key, first_key, which_key, on_key = jr.split(key, 4)
@@ -196,21 +194,21 @@ def gradient_search(
         policy, value, target, policy_state, value_state, *_ = learner
         start_key, act_key, f_key = jr.split(update_key, 3)
         s_0 = draw_starts(learner, start_key)
-        steps = (*shape, config.steps)
+        steps = (config.steps, *shape)
         draws = jr.normal(act_key, (*steps, policy.size)), jr.normal(f_key, (*steps, s_0.shape[-1]))
 
         # Of the first state alone: the later ones are the policy's own doing. The sum over all of them, as Dreamer has
         # it, pays for reaching good states once for each step before, and makes actions up to twice too strong.
         def policy_loss(policy: SquashedPolicy):
-            seen = over_worlds(worlds, policy, target, s_0, draws)
-            return -jnp.mean(seen[1][..., 0]) / scale, seen
+            seen = imagine(policy, target, s_0, draws)
+            return -jnp.mean(seen[1][0]) / scale, seen
 
         def moved():
             gradient, seen = jax.grad(policy_loss, has_aux=True)(policy)
             return *descend(policy_opt, policy, frozen_inputs(gradient), policy_state), seen
 
         def kept():
-            return policy, policy_state, over_worlds(worlds, policy, target, s_0, draws)
+            return policy, policy_state, imagine(policy, target, s_0, draws)
 
         policy, policy_state, seen = jax.lax.cond(moving, moved, kept)
         s, returns, of_value, weight, end = seen
@@ -228,7 +226,7 @@ def gradient_search(
             target = jax.tree.map(lambda t, v: t + config.target_rate * (v - t), target, value)
             return (value, target, value_state), None
 
-        # minibatches interleave the rollouts, so that each sees all of them
+        # minibatches interleave, so that each sees all steps and all members
         n = flat_s.shape[0] // config.value_updates * config.value_updates
         rows = jnp.arange(n).reshape(-1, config.value_updates).T
         (value, target, value_state), _ = jax.lax.scan(value_step, (value, target, value_state), rows)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -26,11 +27,32 @@ def goes_on(ends: Ends | None, s: State, a: Action, s_next: State) -> Scalar:
 
 
 def along(
-    ends: Ends | None, s: Float[Array, "h p"], a: Float[Array, "h q"], s_next: Float[Array, "h p"]
-) -> tuple[Float[Array, " h"], Float[Array, " h"]]:
-    """For each step of an imagined rollout: whether the episode goes on after it, and whether it had gone on so far."""
-    on = jax.vmap(goes_on, in_axes=(None, 0, 0, 0))(ends, s, a, s_next)
-    return on, jnp.cumprod(jnp.concatenate([jnp.ones(1), on[:-1]]))
+    ends: Ends | None, s: Float[Array, "h M n p"], a: Float[Array, "h M n q"], s_next: Float[Array, "h M n p"]
+) -> tuple[Float[Array, "h M n"], Float[Array, "h M n"]]:
+    """For each step of imagined rollouts: whether the episode goes on after it, and whether it had gone on so far."""
+    on = jnp.vectorize(partial(goes_on, ends), signature="(p),(q),(p)->()")(s, a, s_next)
+    return on, jnp.cumprod(jnp.concatenate([jnp.ones_like(on[:1]), on[:-1]]), axis=0)
+
+
+def rollouts(
+    step: Callable[[Hallucinated, State, Any], tuple[State, Any]],
+    worlds: Hallucinated,
+    s_0: Float[Array, "M n p"],
+    draws: Any,
+    *,
+    axis: int | None,
+) -> Any:
+    """What `step` gives besides the next state, along n rollouts in each of M worlds: time first, then M, then n.
+
+    Args:
+        step: from a world, a state and what is drawn for one step.
+        worlds: a stack of M; with `axis` None one world, for all.
+        s_0: where they begin.
+        draws: for all steps, time first.
+        axis: along which `worlds` are stacked.
+    """
+    in_all = jax.vmap(jax.vmap(step, in_axes=(None, 0, 0)), in_axes=(axis, 0, 0))
+    return jax.lax.scan(lambda s, now: in_all(worlds, s, now), s_0, draws)[1]
 
 
 class SearchState(eqx.Module):
@@ -77,14 +99,14 @@ class Chance(NamedTuple):
     """What of a trial is chance: policies are compared on the same, or the luckiest would win, and not the best."""
 
     s_0: Float[Array, "M n p"]
-    draws: Float[Array, "M n steps p"]
+    draws: Float[Array, "steps M n p"]
     """Standard normal, for the noise of the world."""
 
     @classmethod
     def draw(cls, first: Float[Array, "N p"], *, M: int, n: int, steps: int, key: Key) -> Chance:
         """Of `n` trials in each of M worlds, from where episodes begin."""
         start_key, draw_key = jr.split(key)
-        return cls(jr.choice(start_key, first, (M, n)), jr.normal(draw_key, (M, n, steps, first.shape[1])))
+        return cls(jr.choice(start_key, first, (M, n)), jr.normal(draw_key, (steps, M, n, first.shape[1])))
 
 
 def trials(
@@ -109,14 +131,11 @@ def trials(
         value: V, without which the mode `eta_sign` is greedy.
     """
 
-    def one(world: Hallucinated, s_0: State, draws: Float[Array, "steps p"]) -> Scalar:
-        def step(s: State, draw: State):
-            u = policy.mode(s)
-            s_next, bonus = world.step(s, u, draw=draw, value=value)
-            return s_next, (s, world.split(u)[0], s_next, bonus)
+    def step(world: Hallucinated, s: State, draw: State):
+        u = policy.mode(s)
+        s_next, bonus = world.step(s, u, draw=draw, value=value)
+        return s_next, (s, world.split(u)[0], s_next, bonus)
 
-        _, (s, a, s_next, bonus) = jax.lax.scan(step, s_0, draws)
-        _, alive = along(ends, s, a, s_next)
-        return jnp.sum(alive * (jax.vmap(reward)(s, a) + bonus))
-
-    return jax.vmap(jax.vmap(one, in_axes=(None, 0, 0)), in_axes=(axis, 0, 0))(worlds, *chance)
+    s, a, s_next, bonus = rollouts(step, worlds, chance.s_0, chance.draws, axis=axis)
+    _, alive = along(ends, s, a, s_next)
+    return jnp.sum(alive * (reward.of_steps(s, a) + bonus), axis=0)

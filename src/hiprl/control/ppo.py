@@ -177,7 +177,7 @@ def ppo_search(
             return then, (now.s, u, a, bonus, on, s_next, fresh)
 
         rollouts, (s, u, a, bonus, on, s_next, fresh) = jax.lax.scan(step, rollouts, (act_draws, f_draws, first))
-        r = jax.vmap(jax.vmap(reward))(s, a) + bonus
+        r = reward.of_steps(s, a) + bonus
         log_prob = jnp.sum(-0.5 * act_draws**2 - policy.log_std[None, None] - LOG_ROOT_2PI, axis=-1)
         v, v_next = jax.vmap(jax.vmap(value))(s), jax.vmap(jax.vmap(value))(s_next)
         delta = r + config.gamma * on * v_next - v

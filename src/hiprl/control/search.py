@@ -58,7 +58,7 @@ def search(
     """
     start_key, search_key = jr.split(key)
     rows = T.transitions()
-    usual = counts(jax.vmap(reward)(rows.s, rows.a), T)
+    usual = counts(reward.of_steps(rows.s, rows.a), T)
     seen = jr.choice(start_key, rows.s, (SEEN_STATES,), p=usual)
     scaler = state_scaler(T)
     if anywhere is not None:

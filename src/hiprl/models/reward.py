@@ -23,7 +23,7 @@ from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.evidence import BOX_MARGIN, Evidence, evidence
 from hiprl.models.features import AdditiveFeatures, Kernel, by_entry, priors_of
 from hiprl.models.relevance import relevance_of, spread_by
-from hiprl.models.sums import columns, steps_of, values
+from hiprl.models.sums import columns, side_by_side, steps_of, values
 from hiprl.models.usual import typical_size
 from hiprl.types import Action, Reward, Scalar, State
 
@@ -124,6 +124,11 @@ class AdditiveReward(EstimatedReward):
 
     def __call__(self, s: State, a: Action) -> Scalar:
         return jnp.clip(self.features.dot(s, a, self.mean), self.low, self.high)
+
+    def of_steps(self, s: Float[Array, "*n p"], a: Float[Array, "*n q"]) -> Float[Array, " *n"]:
+        x = side_by_side(s.reshape(-1, s.shape[-1]), a.reshape(-1, a.shape[-1]))
+        each = values(self.features, columns(self.features, x), self.mean)
+        return jnp.clip(each, self.low, self.high).reshape(s.shape[:-1])
 
     def gap(self, tau: Trajectory, other: Trajectory) -> Gap:
         return self.gap_of(summed(self.features, tau) - summed(self.features, other))

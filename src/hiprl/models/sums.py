@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.features import AdditiveFeatures, by_entry, waves
+from hiprl.models.features import AdditiveFeatures, by_entry, functions, waves
 
 
 class Steps(NamedTuple):
@@ -62,9 +62,9 @@ def values(
     features: AdditiveFeatures, X: Float[Array, "n steps"], weights: Float[Array, " D"]
 ) -> Float[Array, " steps"]:
     """φᵀ weights at each step."""
-    X, weights = jax.lax.optimization_barrier((X, weights))  # or a loop would keep all terms ready, in far more memory
     of = by_entry(weights)
-    each = sum((of[:, m, None] * term for m, term in enumerate(terms(features, X))), jnp.zeros_like(X))
+    # the means go before anything is added up, as in `terms`
+    each = functions(X, of.T[..., None]) - jnp.sum(of * by_entry(features.centre), axis=1)[:, None]
     return weights[0] + jnp.ones(X.shape[0], X.dtype) @ each
 
 
