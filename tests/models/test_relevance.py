@@ -50,7 +50,7 @@ def test_each_weight_belongs_to_its_entry():
 
 def test_where_nothing_was_learned_all_are_as_relevant_as_before():
     D, even = size_of(N), jnp.ones(N)
-    found = relevance_of(jnp.zeros(D), jnp.ones(D), jnp.zeros((3, D)), even)
+    found = relevance_of(jnp.zeros(D), jnp.ones(D), jnp.zeros((3, D)), even, freedom=0.2)
     np.testing.assert_allclose(found, even, rtol=1e-5)
 
 
@@ -58,9 +58,12 @@ def test_what_explains_something_is_more_relevant_and_what_is_known_to_do_nothin
     D = size_of(N)
     mean = jnp.zeros(D).at[2].set(3.0)
     root = jnp.zeros((2, D)).at[0, 4].set(1.0)  # entry 3's slope is known to be 0
-    found = relevance_of(mean, jnp.where(jnp.arange(D) <= N, 1.0, 1e-9), root, jnp.ones(N))
-    assert int(jnp.argmax(found)) == 1 and int(jnp.argmin(found)) == 3
-    assert float(found[1]) > 10 * float(found[3])
+    prior = jnp.where(jnp.arange(D) <= N, 1.0, 1e-9)
+    few, more = (relevance_of(mean, prior, root, jnp.ones(N), freedom=freedom) for freedom in (0.2, 1.0))
+    for found in few, more:
+        assert int(jnp.argmax(found)) == 1 and int(jnp.argmin(found)) == 3
+    assert float(few[1]) > 10 * float(few[3])
+    assert float(more[1] / more[3]) < float(few[1] / few[3])
 
 
 def test_one_entry_is_found_by_fewer_answers_than_there_are_entries():

@@ -15,8 +15,9 @@ from jaxtyping import Array, Float
 
 from hiprl.models.features import FREQUENCIES, INSIDE, REACH, WAVES, by_entry
 
-FREEDOM = 0.2
-"""Degrees of freedom of the prior: the fewer, the more an entry may stand out or fall silent."""
+OF_NUMBERS, OF_ANSWERS = 0.2, 1.0
+"""Degrees of freedom of the prior: the fewer, the more an entry may stand out or fall silent. A few numbers say so
+exactly what is wanted that entries may; choices and levels do not, and r̂ would be surer than it is right."""
 
 
 def _size() -> Float[np.ndarray, "m m"]:
@@ -38,7 +39,12 @@ def spread_by(prior: Float[Array, "*n D"], relevance: Float[Array, " entries"]) 
 
 
 def relevance_of(
-    mean: Float[Array, " D"], prior: Float[Array, " D"], root: Float[Array, "n D"], before: Float[Array, " entries"]
+    mean: Float[Array, " D"],
+    prior: Float[Array, " D"],
+    root: Float[Array, "n D"],
+    before: Float[Array, " entries"],
+    *,
+    freedom: float,
 ) -> Float[Array, " entries"]:
     """One step of expectation and maximisation.
 
@@ -47,11 +53,12 @@ def relevance_of(
         prior: its prior variance.
         root: R with posterior covariance diag(prior) - RᵀR.
         before: the relevance in this prior.
+        freedom: degrees of freedom of its own prior.
     """
     size = jnp.asarray(SIZE, mean.dtype)
     expected = jnp.sum(by_entry(prior) * jnp.sum(size**2, axis=1)[None], axis=1)
     learned = jnp.sum((by_entry(root) @ size) ** 2, axis=(0, 2))
     found = jnp.sum((by_entry(mean) @ size) ** 2, axis=1) + jnp.maximum(expected - learned, 0.0)
     share = jnp.where(expected > 0, found / jnp.where(expected > 0, expected, 1.0), 1.0) * before
-    after = (FREEDOM + share) / (FREEDOM + 1)
+    after = (freedom + share) / (freedom + 1)
     return after / jnp.mean(after)

@@ -22,7 +22,7 @@ from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.evidence import BOX_MARGIN, Evidence, evidence
 from hiprl.models.features import AdditiveFeatures, Kernel, by_entry, priors_of
-from hiprl.models.relevance import relevance_of, spread_by
+from hiprl.models.relevance import OF_NUMBERS, relevance_of, spread_by
 from hiprl.models.sums import columns, side_by_side, steps_of, values
 from hiprl.models.usual import typical_size
 from hiprl.types import Action, Reward, Scalar, State
@@ -229,7 +229,7 @@ def _posterior(
         L, G_g, scale = L[best], G_g[best], scale[best]
         half = jax.scipy.linalg.solve_triangular(L, Psi * prior[None], lower=True)
         posterior = prior * (Psi.T @ G_g), prior * scale, half * jnp.sqrt(scale)
-        return (relevance_of(*posterior, relevance), noises[best]), posterior
+        return (relevance_of(*posterior, relevance, freedom=OF_NUMBERS), noises[best]), posterior
 
     start = jnp.ones(by_entry(priors).shape[1], priors.dtype), noises[len(noises) // 2]
     return jax.tree.map(lambda x: x[-1], jax.lax.scan(one_round, start, length=ROUNDS)[1])
