@@ -225,6 +225,11 @@ def test_the_papers_reward_network_is_not_begun_with_a_judge_it_cannot_learn_fro
     config = asking(paper("HalfCheetah-v5"), judge_from("choice"))
     with pytest.raises(InputError, match="got the judge choice for the paper's reward network"):
         start(store, world_from("linear"), RunSpec(seed=0, config=config, judge="choice"))
+    wish = replace(
+        paper("HalfCheetah-v5"), question=replace(config.question, levels=None, clip=None, pick="information")
+    )
+    with pytest.raises(InputError, match="picked uniformly"):
+        start(store, world_from("linear"), RunSpec(seed=0, config=wish, judge="exact"))
     assert not store.runs()
     start(store, world_from("linear"), RunSpec(seed=0, config=paper("HalfCheetah-v5"), judge="exact"))
 

@@ -105,10 +105,12 @@ def start(store: Store, world: World, spec: RunSpec) -> str:
     asked = spec.config.question
     if spec.judge not in (PEOPLE, CUSTOM):
         refuse_unpriced(world, spec)
-    if isinstance(spec.config.reward, NetworkConfig) and (asked.clip or asked.levels or asked.items != 2):
+    others = asked.clip or asked.levels or asked.items != 2 or asked.pick != "uniform"
+    if isinstance(spec.config.reward, NetworkConfig) and others:
         raise InputError(
             f"got the judge {spec.judge} for the paper's reward network, which learns from numbers about whole "
-            "trajectories alone. Leave out `--preset paper`, or take `--judge exact` without `--clip`."
+            "trajectories that are picked uniformly. Leave out `--preset paper`, or take `--judge exact` without "
+            "`--clip` and `--ask`."
         )
     return store.add_run(
         world.name,
@@ -220,9 +222,9 @@ def one_episode(
     times.append(time.perf_counter())
     facts = facts_of(run, question, answer, after, config)
     facts["seconds"] = dict(zip(("propose", "judge", "learn", "practise"), np.diff(times).tolist(), strict=True))
-    for number in range(int(question.attempt.added(run.T).count), int(after.T.count)):
-        store.add_trajectory(run_id, number, after.T.get(number), "policy")
-    store.finish_episode(run_id, k, facts, pack(after))
+    new = range(int(question.attempt.added(run.T).count), int(after.T.count))
+    practice = [(TrajectoryRow.of(after.T.get(number), number=number, kind="policy"), None) for number in new]
+    store.finish_episode(run_id, k, facts, pack(after), taus=practice)
     watch(facts)
     return after
 

@@ -427,6 +427,30 @@ def test_answers_from_many_threads_are_all_kept(store: Store, run_id: str):
     assert sorted(row.g for row in store.answers(run_id)) == list(range(23))
 
 
+def test_what_many_say_at_once_for_one_is_said_once(store: Store, run_id: str):
+    with_two_trajectories(store, run_id)
+    for k in range(1, 8):
+        store.ask(run_id, k, pair(0, 1))
+        start = Barrier(4, timeout=60)
+
+        def say(_: int, k: int = k, start: Barrier = start) -> bool:
+            start.wait()
+            return store.answer(run_id, k, choice(True), "ann")
+
+        with ThreadPoolExecutor(4) as pool:
+            assert sum(pool.map(say, range(4))) == 1
+        assert len(store.answers(run_id)) == k
+
+
+def test_the_papers_network_is_told_numbers_alone(store: Store):
+    run_id = store.add_run("Hopper-v5", 3, {"config": {"reward": {"part": "NetworkConfig"}}}, {})
+    with_two_trajectories(store, run_id)
+    store.ask(run_id, 1, pair(0, 1))
+    with pytest.raises(InputError, match="numbers alone"):
+        store.answer(run_id, 1, choice(True), "ann")
+    assert store.answer(run_id, 1, a_number(0.5), "ann")
+
+
 # Episodes and the end
 
 

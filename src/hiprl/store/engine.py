@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -63,8 +64,11 @@ class Database:
     @contextmanager
     def reading(self) -> Iterator[sa.Connection]:
         """One transaction that sees one state of the store."""
-        with self._connection("BEGIN") as connection, connection.begin():
-            yield connection
+        with self._connection("BEGIN") as connection:
+            if self.engine.dialect.name == "postgresql":
+                connection = connection.execution_options(isolation_level="REPEATABLE READ")
+            with connection.begin():
+                yield connection
 
     @contextmanager
     def writing(self) -> Iterator[sa.Connection]:
@@ -208,3 +212,10 @@ def _code_before_login(said: str) -> str:
     if "does not exist" in said and "database" in said:
         return "3D000"
     return "28000" if "authentication failed" in said or "no password" in said else "08000"
+
+
+def now(connection: sa.Connection) -> datetime:
+    """The time by the server's clock, which all machines share; SQLite has but one machine."""
+    if connection.dialect.name == "postgresql":
+        return connection.execute(sa.select(sa.func.clock_timestamp())).scalar_one()
+    return datetime.now(UTC)

@@ -163,12 +163,7 @@ def _read(line: str, questions: dict[int, QuestionRow], run: RunRow, judge: str)
             "Leave both out if they are not known."
         )
     answer = Answer.taken(said)
-    refuse_unfitting(run.id, question.k, answer, len(question.clips))
-    if run.numbers_only and answer.form != "number":
-        raise InputError(
-            f"got an answer of the form {answer.form!r} for run {run.id}, whose reward is the paper's network; that "
-            "learns from numbers alone. Give the form `number`, or leave the line out."
-        )
+    refuse_unfitting(run.id, question.k, answer, len(question.clips), numbers_only=run.numbers_only)
     return Given(question.k, answer, by, swapped)
 
 

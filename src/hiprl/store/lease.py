@@ -9,13 +9,13 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 
 from hiprl.errors import HiprlError, InputError, StoreError
-from hiprl.store.engine import Database
+from hiprl.store.engine import Database, now
 from hiprl.store.schema import leases, runs
 
 _PROCESS = secrets.token_hex(4)  # tells this process from an earlier one of the same number
@@ -49,7 +49,7 @@ class Lease:
             StoreError: another trainer has taken the run over, since this one was silent for too long.
         """
         with self._database.writing() as connection:
-            until = _now(connection) + timedelta(seconds=self._seconds)
+            until = now(connection) + timedelta(seconds=self._seconds)
             mine = (leases.c.run_id == self._run_id) & (leases.c.token == self._token)
             if connection.execute(sa.update(leases).where(mine).values(expires_at=until)).rowcount == 0:
                 raise StoreError(
@@ -106,7 +106,7 @@ def _take(database: Database, run_id: str, owner: Owner, seconds: float) -> Leas
                     "Wait until it is done, or stop that process and try again."
                 )
             connection.execute(sa.delete(leases).where(leases.c.run_id == run_id))
-        until = _now(connection) + timedelta(seconds=seconds)
+        until = now(connection) + timedelta(seconds=seconds)
         connection.execute(
             sa.insert(leases).values(run_id=run_id, host=owner.host, pid=owner.pid, token=token, expires_at=until)
         )
@@ -121,14 +121,7 @@ def is_held(connection: sa.Connection, run_id: str) -> bool:
 
 def _is_live(connection: sa.Connection, held: Any) -> bool:
     """Whether a lease has time left, and its holder is not known to be dead."""
-    return held.expires_at > _now(connection) and not _is_dead(Owner(held.host, held.pid), held.token)
-
-
-def _now(connection: sa.Connection) -> datetime:
-    """The time by the server's clock, which all machines share; SQLite has but one machine."""
-    if connection.dialect.name == "postgresql":
-        return connection.execute(sa.select(sa.func.clock_timestamp())).scalar_one()
-    return datetime.now(UTC)
+    return held.expires_at > now(connection) and not _is_dead(Owner(held.host, held.pid), held.token)
 
 
 def _is_dead(owner: Owner, token: str) -> bool:

@@ -11,7 +11,7 @@ import sqlalchemy as sa
 
 from hiprl.data.answer import Answer
 from hiprl.errors import InputError, StoreError
-from hiprl.store.rows import ClipRow, TrajectoryRow, number_of
+from hiprl.store.rows import ClipRow, TrajectoryRow, number_of, numbers_only
 from hiprl.store.schema import answers, checkpoints, episodes, finals, questions, runs, trajectories
 
 trajectory_columns = [column for column in trajectories.c if column.name != "film"]  # which is large, and seldom wanted
@@ -104,13 +104,16 @@ def _check_clips(connection: sa.Connection, run_id: str, clips: Sequence[ClipRow
 def add_answer(connection: sa.Connection, run_id: str, k: int, answer: Answer, judge: str, swapped: bool) -> bool:
     """An answer to episode k's question; False, and nothing, if its newest one is this judge's and the same."""
     mine = (questions.c.run_id == run_id) & (questions.c.k == k)
-    asked = connection.execute(sa.select(questions.c.id, questions.c.clips).where(mine)).one_or_none()
+    query = sa.select(questions.c.id, questions.c.clips, runs.c.spec).join(runs).where(mine)
+    asked = connection.execute(
+        query.with_for_update(of=questions)
+    ).one_or_none()  # or one said twice might be kept twice
     if asked is None:
         raise InputError(
             f"run {run_id} asks nothing in episode {k}; an answer needs its question. "
             "Wait until the episode was executed, or check the run's id."
         )
-    refuse_unfitting(run_id, k, answer, len(asked.clips))
+    refuse_unfitting(run_id, k, answer, len(asked.clips), numbers_only=numbers_only(asked.spec))
     g = number_of(answer)
     said = answer.plain() | ({} if g is None else {"value": g})
     newest = sa.select(answers.c.said, answers.c.judge).where(answers.c.question_id == asked.id)
@@ -122,8 +125,13 @@ def add_answer(connection: sa.Connection, run_id: str, k: int, answer: Answer, j
     return True
 
 
-def refuse_unfitting(run_id: str, k: int, answer: Answer, clips: int) -> None:
-    """Raises InputError if an answer is about more or fewer clips than episode k's question."""
+def refuse_unfitting(run_id: str, k: int, answer: Answer, clips: int, *, numbers_only: bool) -> None:
+    """Raises InputError if an answer is not about the clips of episode k's question, or of no use to its run."""
+    if numbers_only and answer.form != "number":
+        raise InputError(
+            f"got an answer of the form {answer.form!r} for run {run_id}, whose reward is the paper's network; that "
+            "learns from numbers alone. Give the form `number`, or leave it out."
+        )
     if answer.form != "unsure" and answer.items != clips:
         raise InputError(
             f"got an answer of the form {answer.form!r}, which is about {_counted(answer.items)}, where run "

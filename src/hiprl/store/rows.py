@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
@@ -52,8 +53,13 @@ class RunRow:
 
     @property
     def numbers_only(self) -> bool:
-        """Whether its reward can learn from nothing but numbers, as the paper's network."""
-        return self.spec.get("config", {}).get("reward", {}).get("part") == "NetworkConfig"
+        """Whether its reward can learn from nothing but numbers."""
+        return numbers_only(self.spec)
+
+
+def numbers_only(spec: Mapping[str, Any]) -> bool:
+    """Whether the reward of a run that is to be so can learn from nothing but numbers, as the paper's network."""
+    return spec.get("config", {}).get("reward", {}).get("part") == "NetworkConfig"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

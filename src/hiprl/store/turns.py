@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 
 import sqlalchemy as sa
 
+from hiprl.store.engine import now
 from hiprl.store.rows import QuestionRow
 from hiprl.store.schema import answers, claims, questions
 
@@ -37,8 +38,7 @@ def taken(connection: sa.Connection, run_id: str, judge: str, *, seconds: float)
 
     What this judge has answered before comes last: it waits for another judge.
     """
-    now = datetime.now(UTC)
-    free = (claims.c.question_id.is_(None)) | (claims.c.judge == judge) | (claims.c.expires_at < now)
+    free = (claims.c.question_id.is_(None)) | (claims.c.judge == judge) | (claims.c.expires_at < now(connection))
     asked = questions.alias()
     known = sa.select(asked.c.clips).join(answers, answers.c.question_id == asked.c.id)
     known = known.where(asked.c.run_id == run_id, answers.c.judge == judge)
@@ -53,13 +53,13 @@ def taken(connection: sa.Connection, run_id: str, judge: str, *, seconds: float)
     if row is None:
         return None
     connection.execute(sa.delete(claims).where(claims.c.question_id == row.id))
-    until = now + timedelta(seconds=seconds)
+    until = now(connection) + timedelta(seconds=seconds)
     connection.execute(sa.insert(claims).values(question_id=row.id, judge=judge, expires_at=until))
     return QuestionRow.read(row)
 
 
 def untaken(connection: sa.Connection, run_id: str) -> int:
     """How many open questions nobody looks at."""
-    free = (claims.c.question_id.is_(None)) | (claims.c.expires_at < datetime.now(UTC))
+    free = (claims.c.question_id.is_(None)) | (claims.c.expires_at < now(connection))
     query = sa.select(sa.func.count()).select_from(questions.outerjoin(claims).outerjoin(answers))
     return connection.execute(query.where(questions.c.run_id == run_id, answers.c.id.is_(None), free)).scalar_one()
