@@ -177,7 +177,7 @@ def arrays(made: Setting) -> dict[str, Any]:
         "beta": f_tilde.beta,
         "low": f_tilde.low,
         "high": f_tilde.high,
-        "first": made.T.first_states()[: int(made.T.count)],
+        "first": made.T.first_states(),
         "check_s": s,
         "check_u": u,
         "check_next": s_next,

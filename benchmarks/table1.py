@@ -2,7 +2,8 @@
 
 Arms: the presets of hiprl (`default`, `paper`) with a judge that gives the exact difference of two returns, and
 Stable-Baselines3's PPO on the true environment and reward with the paper's settings (Tables 2 and 3) and with tuned
-ones (RL Baselines3 Zoo). PPO gets --ppo-steps steps of the environment; hiprl about 31,000 at most, and no reward.
+ones (RL Baselines3 Zoo). PPO gets --ppo-steps steps of the environment; hiprl about 71,000 at most, 31,000 of them to
+learn from, and no reward.
 
 A table shows for each arm the mean return of its policies over ten fresh episodes, its spread over seeds, and the
 interquartile mean with a 95 % bootstrap interval. `solved_by`: after how many comparisons the policy that would be

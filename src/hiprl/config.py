@@ -40,7 +40,7 @@ class Config:
     kappa: float = 1.0
     """β is the calibrated width times this."""
     kappa_decay: float = 1.0
-    """What κ is multiplied by after each episode."""
+    """What κ is multiplied by after each episode with a searched policy."""
     bonus: float = 1.0
     """In mode `bonus`: reward for a σ as large as a typical step, in units of a typical reward."""
     restart: bool = True

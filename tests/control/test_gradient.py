@@ -13,6 +13,7 @@ from jax.tree_util import Partial
 from hiprl.control.gradient import GradientConfig, gradient_search, new_gradient, new_value
 from hiprl.control.imagined import Chance, trials
 from hiprl.control.plan import Follow
+from hiprl.errors import InputError
 from hiprl.rollout import roll_out
 from hiprl.types import Reward, stacked_size
 from hiprl.world.linear import default_linear
@@ -259,6 +260,12 @@ def test_the_value_holds_where_rollouts_lead_and_not_only_where_they_begin():
 def test_long_episodes_are_looked_further_into(H, gamma):
     assert GradientConfig().discount(H) == pytest.approx(gamma)
     assert CONFIG.discount(H) == CONFIG.gamma
+
+
+@pytest.mark.parametrize("settings", [{"gamma": 1.0}, {"gamma": -0.1}, {"updates": 0}, {"trial_starts": 0}])
+def test_impossible_settings_are_told(settings):
+    with pytest.raises(InputError, match="at least one of each"):
+        GradientConfig(**settings)
 
 
 def test_scalers_are_not_trained(search):

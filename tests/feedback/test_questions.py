@@ -117,10 +117,26 @@ def test_what_is_known_of_a_question_is_what_the_reward_says_of_its_clips(T, rew
 
 def test_aligned_questions_are_about_the_newest_and_the_best(T, reward):
     best = int(np.argmax(np.asarray(reward.returns(T))[:9]))
-    for items in (2, 4):
-        config = replace(TELLING, aligned=1.0, items=items)
-        of = pick_clips(T, reward, config, key=jr.key(items)).of
-        assert of.tolist() == [9, best] * (items // 2)
+    assert pick_clips(T, reward, replace(TELLING, aligned=1.0), key=jr.key(2)).of.tolist() == [9, best]
+
+
+def test_where_two_have_too_little_to_show_others_are_asked_about(T, reward):
+    config = replace(TELLING, aligned=1.0, items=4)  # the newest has 7 steps, a clip 11
+    for seed in range(3):
+        clips = pick_clips(T, reward, config, key=jr.key(seed))
+        assert not bool(questions.twice(jax.tree.map(lambda x: x[None], clips))[0])
+
+
+def test_a_ranking_shows_no_older_trajectory_twice_while_there_are_others(T, blank):
+    for seed in range(5):
+        of = pick_clips(T, blank, QuestionConfig(items=4), key=jr.key(seed)).of.tolist()
+        assert of[0] == 9 and len(set(of)) == 4 and max(of[1:]) < 9
+
+
+def test_room_for_more_trajectories_changes_nothing_a_rating_is_about(T, reward):
+    Phi = questions.phi_of(T, reward.features, Clip.whole(jnp.arange(N)), QuestionConfig(items=1, pick="information"))
+    there = np.asarray(Phi)[:10]
+    np.testing.assert_allclose(there.mean(0), 0.0, atol=1e-3 * np.abs(there).max())
 
 
 def test_a_clip_is_never_compared_with_itself(T, reward):

@@ -59,6 +59,12 @@ def test_what_can_be_done_is_what_was_executed(T, reward):
     np.testing.assert_array_equal(np.delete(before, 2, axis=0), np.delete(after, 2, axis=0))
 
 
+def test_where_all_soon_fall_short_clips_are_what_can_be_done(T, reward):
+    short = eqx.tree_at(lambda T: T.rows.length, T, jnp.minimum(T.rows.length, 4))
+    there = np.asarray(seen(short, reward)[1]).reshape(N, -1)
+    assert there[:8, 0].all() and not there[:, 1:].any() and not there[8:].any()
+
+
 def draws(reward):
     """Draws of θ."""
     root = np.asarray(reward.root, float)

@@ -6,7 +6,7 @@ import pytest
 from hiprl.data.preference import WHOLE, Clip
 from hiprl.models.evidence import clip_sums, features_of
 from hiprl.models.reward import summed
-from hiprl.models.sums import columns, steps_of, values
+from hiprl.models.sums import columns, evenly, steps_of, values
 from tests.models.worlds import linear_set
 
 H, LENGTHS = 23, [23, 19, 23, 7, 23]
@@ -29,6 +29,16 @@ def test_many_steps_are_worth_what_each_is(T, features):
         for t in range(0, length, 5):
             one = features.dot(T.rows.states[i, t], T.rows.actions[i, t], weights)
             assert float(found[i, t]) == pytest.approx(float(one), rel=1e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize("wanted", [3, 17, 100, 4096])
+def test_some_steps_are_taken_from_everywhere(wanted):
+    mask = np.random.default_rng(3).uniform(size=997) < 0.2
+    at, there = (np.asarray(x) for x in evenly(jnp.asarray(mask), wanted))
+    some, every = at[there], np.flatnonzero(mask)
+    assert len(some) == len(set(some)) == min(wanted, len(every)) and mask[some].all()
+    gaps = np.diff(np.searchsorted(every, some))
+    assert gaps.max() - gaps.min() <= 1  # as far from one to the next
 
 
 def test_many_clips_sum_up_to_what_each_does(T, features):

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple, cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -23,7 +22,8 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from hiprl.control.imagined import Chance, Ends, SearchReport, SearchState, Starts, along, report_of, rollouts, trials
-from hiprl.control.policy import SquashedPolicy, Value
+from hiprl.control.policy import SquashedPolicy, Value, unscaled
+from hiprl.errors import InputError
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.fit import descend, descent
 from hiprl.models.network import FEW, Activation, Scaler
@@ -85,6 +85,14 @@ class GradientConfig:
     def discount(self, H: int) -> float:
         """γ in episodes of at most H steps."""
         return min(max(1 - 2 / H, 0.99), 0.995) if self.gamma is None else self.gamma
+
+    def __post_init__(self) -> None:
+        whole = (self.chunks, self.updates, self.rollouts, self.steps, self.value_updates, self.trial_steps)
+        if min(*whole, self.trial_starts) < 1 or not 0 <= (self.gamma or 0) < 1:
+            raise InputError(
+                f"got {self}; at least one of each is needed, and a discount from 0 to below 1, as a value is a sum "
+                "without end. Leave out what you are not sure of."
+            )
 
 
 def new_gradient(inputs: Scaler, size: int, config: GradientConfig, *, key: Key) -> SearchState:
@@ -205,7 +213,7 @@ def gradient_search(
 
         def moved():
             gradient, seen = jax.grad(policy_loss, has_aux=True)(policy)
-            return *descend(policy_opt, policy, frozen_inputs(gradient), policy_state), seen
+            return *descend(policy_opt, policy, unscaled(gradient), policy_state), seen
 
         def kept():
             return policy, policy_state, imagine(policy, target, s_0, draws)
@@ -221,7 +229,7 @@ def gradient_search(
 
         def value_step(carry, rows):
             value, target, value_state = carry
-            gradient = frozen_inputs(jax.grad(value_loss)(value, rows))
+            gradient = unscaled(jax.grad(value_loss)(value, rows))
             value, value_state = descend(value_opt, value, gradient, value_state)
             target = jax.tree.map(lambda t, v: t + config.target_rate * (v - t), target, value)
             return (value, target, value_state), None
@@ -269,12 +277,3 @@ def gradient_search(
     chunks = jnp.maximum(config.chunks >> jnp.minimum(setbacks, 1), 1)
     _, best, report, *_ = jax.lax.fori_loop(0, settling + chunks, chunk, carry)
     return best, report
-
-
-def frozen_inputs(gradient):
-    """The gradient with that of scalers and scales set to zero: they are measured, not trained."""
-    zero = lambda tree: jax.tree.map(jnp.zeros_like, tree)
-    gradient = eqx.tree_at(lambda g: g.inputs, gradient, zero(gradient.inputs))
-    if isinstance(gradient, Value):
-        gradient = eqx.tree_at(lambda g: g.scale, gradient, zero(gradient.scale))
-    return gradient

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Float
@@ -145,3 +147,12 @@ class Uniform(Actor):
 
     def act(self, s: State, *, key: Key) -> Action:
         return self.size * jr.uniform(key, (self.q,), minval=-1.0, maxval=1.0)
+
+
+Net = TypeVar("Net", SquashedPolicy, ClippedPolicy, Value)
+
+
+def unscaled(gradient: Net) -> Net:
+    """The gradient with that of scalers and scales set to zero: they are measured, not trained."""
+    units = lambda g: (g.inputs, g.scale) if isinstance(g, Value) else g.inputs
+    return eqx.tree_at(units, gradient, jax.tree.map(jnp.zeros_like, units(gradient)))

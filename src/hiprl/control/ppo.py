@@ -17,7 +17,7 @@ import optax
 from jaxtyping import Array, Bool, Float
 
 from hiprl.control.imagined import Chance, Ends, SearchReport, SearchState, Starts, goes_on, report_of, trials
-from hiprl.control.policy import LOG_ROOT_2PI, ClippedPolicy, Value, log_normal
+from hiprl.control.policy import LOG_ROOT_2PI, ClippedPolicy, Value, log_normal, unscaled
 from hiprl.errors import InputError
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.fit import descend, descent
@@ -215,7 +215,8 @@ def ppo_search(
             def step(carry, now):
                 learner, opt_state = carry
                 gradient = jax.grad(loss)(learner, *now)
-                return descend(optimiser, learner, without_units(gradient), opt_state), None
+                gradient = SearchState(unscaled(gradient.policy), unscaled(gradient.value))
+                return descend(optimiser, learner, gradient, opt_state), None
 
             return jax.lax.scan(step, carry, (batches, weight))[0], None
 
@@ -256,9 +257,3 @@ def advantages(delta: Float[Array, "h n"], fresh: Bool[Array, "h n"], rate: floa
 
     _, found = jax.lax.scan(backward, jnp.zeros(delta.shape[1]), (delta, fresh), reverse=True)
     return found
-
-
-def without_units(gradient: SearchState) -> SearchState:
-    """The gradient with that of scalers and scales set to zero: they are measured, not trained."""
-    units = lambda g: (g.policy.inputs, g.value.inputs, g.value.scale)
-    return eqx.tree_at(units, gradient, jax.tree.map(jnp.zeros_like, units(gradient)))

@@ -109,7 +109,7 @@ class Preferences(eqx.Module):
     judge: Int[Array, " K"]
     """Who answered, by number."""
     at_hand: Int[Array, " K"]
-    """How many trajectories there were when the question was answered."""
+    """How many trajectories there were when the question was asked."""
     count: Count
 
     @classmethod

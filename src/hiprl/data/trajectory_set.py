@@ -89,8 +89,10 @@ class Trajectories(eqx.Module):
         return self.filled[:, None] & (t[None] <= self.rows.length[:, None])
 
     def first_states(self) -> Float[Array, "N p"]:
-        """s_0 of each executed trajectory; all other rows repeat the first one."""
-        return jnp.where(self.real[:, None], self.rows.states[:, 0], self.rows.states[0, 0])
+        """s_0 of each executed trajectory, over and over: a row drawn uniformly is as likely any of them."""
+        executed = jnp.argsort(~self.real, stable=True)  # these first
+        turn = jnp.arange(self.capacity) % jnp.maximum(jnp.sum(self.real), 1)
+        return self.rows.states[executed[turn], 0]
 
     @partial(jax.jit, static_argnames=("margin",))
     def box(

@@ -103,7 +103,8 @@ def pick_clips(
     older = T.real & (jnp.arange(T.capacity) < T.last)
     best = jnp.argmax(jnp.where(older, reward.returns(T), -jnp.inf))
     aligned = _aligned(T, config, T.last, best, key=aligned_key)
-    asked = jax.tree.map(partial(jnp.where, jr.bernoulli(kind_key, config.aligned)), aligned, anything)
+    there_are = jnp.any(~twice(aligned.clips_of(aligned.shown)))  # two may not have enough to show
+    asked = jax.tree.map(partial(jnp.where, there_are & jr.bernoulli(kind_key, config.aligned)), aligned, anything)
     worth = information(T, reward, asked, config)
     if before is not None:
         worth = worth - AGAIN * was_asked(asked.clips_of(asked.shown), before)
@@ -117,9 +118,11 @@ def was_asked(clips: Clip, before: Clip) -> Bool[Array, " n"]:
 
 
 def _uniform(T: Trajectories, config: QuestionConfig, *, key: Key) -> Clip:
-    """The newest trajectory, and older ones."""
+    """The newest trajectory, and older ones: none twice while there are others."""
     older_key, start_key = jr.split(key)
-    older = jr.randint(older_key, (config.items - 1,), 0, T.last)
+    number = jnp.arange(T.capacity)
+    order = jnp.argsort(jnp.where(number < T.last, jr.uniform(older_key, (T.capacity,)), 2.0))
+    older = order[jnp.arange(config.items - 1) % jnp.maximum(T.last, 1)]
     return _started(T, jnp.append(T.last, older), config, key=start_key)
 
 
@@ -198,7 +201,8 @@ def phi_of(T: Trajectories, features: AdditiveFeatures, clips: Clip, config: Que
     """Sum of φ over each clip, less their mean, which says nothing of a difference and would take float32's digits."""
     H = T.rows.actions.shape[1]
     Phi = clip_sums(features, T, clips, H if config.clip is None else min(config.clip, H))
-    return Phi - jnp.mean(Phi, axis=0, keepdims=True)
+    there = T.filled[clips.of][:, None]
+    return Phi - jnp.sum(jnp.where(there, Phi, 0.0), axis=0, keepdims=True) / jnp.maximum(jnp.sum(there), 1)
 
 
 def apart(x: Float[Array, "..."], shown: Int[Array, "n items"]) -> Float[Array, "n items_less_1 ..."]:
@@ -209,9 +213,13 @@ def apart(x: Float[Array, "..."], shown: Int[Array, "n items"]) -> Float[Array, 
 
 def _distinct(clips: Clip, worth: Float[Array, " n"]) -> Float[Array, " n"]:
     """The worth of questions, those that show the same steps twice ruled out."""
+    return jnp.where(twice(clips) | ~jnp.isfinite(worth), -jnp.inf, worth)
+
+
+def twice(clips: Clip) -> Bool[Array, " n"]:
+    """Whether the clips in each row show the same steps twice."""
     m = clips.of.shape[1]
     same = clips.of[:, :, None] == clips.of[:, None]
     apart = jnp.abs(clips.start[:, :, None] - clips.start[:, None])
     overlap = same & (apart < jnp.minimum(clips.length[:, :, None], clips.length[:, None]))
-    clash = jnp.any(overlap & ~jnp.eye(m, dtype=bool)[None], axis=(1, 2))
-    return jnp.where(clash | ~jnp.isfinite(worth), -jnp.inf, worth)
+    return jnp.any(overlap & ~jnp.eye(m, dtype=bool)[None], axis=(1, 2))

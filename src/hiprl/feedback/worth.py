@@ -72,7 +72,8 @@ def seen(T: Trajectories, reward: AdditiveReward) -> tuple[Float[Array, "n D"], 
     starts = jnp.arange(0, H, SPAN)
     at = Clip(*jnp.broadcast_arrays(jnp.arange(T.capacity)[:, None], starts[None], jnp.asarray(SPAN)))
     steps = jnp.minimum(T.rows.length[:, None] - at.start, SPAN)
-    there = T.real[:, None] & (steps >= min(SPAN, H) // 2)
+    longest = jnp.max(jnp.where(T.real, T.rows.length, 0))  # where all soon fall, shorter ones show a behaviour
+    there = T.real[:, None] & (steps >= jnp.maximum(jnp.minimum(SPAN, longest) // 2, 1))
     flat = jax.tree.map(lambda x: x.reshape(-1), at)
     return clip_sums(reward.features, T, flat, SPAN) / jnp.maximum(steps.reshape(-1), 1)[:, None], there.reshape(-1)
 

@@ -1,8 +1,8 @@
 """EstReward(P, T), eq. (7), from answers of any kind: one posterior for numbers, levels, choices, rankings and ratings.
 
 A judge perceives differences against what was at hand: what is much better among stumbles is nothing among runs. So the
-unit in which an answer's level is read is the spread of r̂ over the clips that were at hand when it was given, and r̂
-and these units are found in turn. Numbers are in the judge's own unit, which does not change.
+unit in which an answer's level is read is the spread of r̂ over the clips that were at hand when it was asked for, and
+r̂ and these units are found in turn. Numbers are in the judge's own unit, which does not change.
 """
 
 from __future__ import annotations

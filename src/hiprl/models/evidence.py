@@ -15,7 +15,7 @@ from hiprl.data.preference import Clip, Kind, Preferences
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.features import AdditiveFeatures, size_of
 from hiprl.models.network import Scaler
-from hiprl.models.sums import Steps, columns, side_by_side, steps_of, total
+from hiprl.models.sums import Steps, columns, evenly, side_by_side, steps_of, total
 from hiprl.types import Count
 
 BOX_MARGIN = 0.25  # how far past the seen range a coordinate, and the reward itself, may count
@@ -33,9 +33,9 @@ def features_of(steps: Steps) -> AdditiveFeatures:
     most = scaler.down(jnp.max(jnp.where(mask[None], x, -jnp.inf), axis=1))
     margin = BOX_MARGIN * (most - least)
     features = AdditiveFeatures(scaler, least - margin, most + margin, jnp.zeros(size_of(x.shape[0]), x.dtype))
-    some = slice(None, None, 1 + x.shape[1] // MANY)  # a mean of many does not need them all
+    some, there = evenly(mask, MANY)  # a mean of many does not need them all
     each = lambda x: total(features, columns(features, x[0]), x[1])
-    whole = jnp.sum(jax.lax.map(each, (in_parts(x[:, some]), in_parts(mask[None, some])[:, 0])), axis=0)
+    whole = jnp.sum(jax.lax.map(each, (in_parts(x[:, some]), in_parts(there[None])[:, 0])), axis=0)
     centre = (whole / jnp.maximum(whole[0], 1)).at[0].set(0.0)
     return eqx.tree_at(lambda f: f.centre, features, centre)
 

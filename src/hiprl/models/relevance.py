@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from hiprl.models.features import FREQUENCIES, INSIDE, REACH, WAVES, by_entry
 
-OF_NUMBERS, OF_ANSWERS = 0.2, 1.0
+OF_NUMBERS, OF_ANSWERS = 0.2, 0.7
 """Degrees of freedom of the prior: the fewer, the more an entry may stand out or fall silent. A few numbers say so
 exactly what is wanted that entries may; choices and levels do not, and r̂ would be surer than it is right."""
 

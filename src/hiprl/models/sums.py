@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.features import AdditiveFeatures, by_entry, functions, waves
@@ -39,6 +39,17 @@ def side_by_side(s: Float[Array, "steps p"], a: Float[Array, "steps q"]) -> Floa
     """(s, a) of steps, each entry a row."""
     x = jax.lax.optimization_barrier(jnp.concatenate([s, a], axis=1))  # to turn the whole is faster than its parts
     return jax.lax.optimization_barrier(x.T)  # or who uses it would put it together anew
+
+
+def evenly(mask: Bool[Array, " steps"], most: int) -> tuple[Int[Array, " most"], Bool[Array, " most"]]:
+    """Indices of at most `most` steps where the mask is true, from everywhere among them, and which ones are that."""
+    k = min(most, mask.shape[0])
+    count = jnp.sum(mask)
+    n = jnp.minimum(count, k)
+    i = jnp.arange(k)
+    nth = (i * (count / jnp.maximum(n, 1))).astype(jnp.int32)  # whole numbers would overflow
+    at = jnp.searchsorted(jnp.cumsum(mask), 1 + nth)
+    return jnp.minimum(at, mask.shape[0] - 1), i < n
 
 
 @jax.jit

@@ -1,4 +1,4 @@
-"""The unit in which an answer's level is read: the spread of r̂ over the clips that were at hand when it was given.
+"""The unit in which an answer's level is read: the spread of r̂ over the clips that were at hand when it was asked for.
 
 What is much better among stumbles is nothing among runs.
 """

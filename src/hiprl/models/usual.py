@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hiprl.data.trajectory_set import Trajectories
+from hiprl.models.sums import evenly
 from hiprl.types import Scalar
 
 MANY = 4096  # steps over which the middle is taken where there are more
@@ -22,8 +23,8 @@ def counts(r: Float[Array, " steps"], T: Trajectories) -> Float[Array, " steps"]
     Middle and spread are medians, over steps and over trajectories, so that a few of either do not change them.
     """
     mask = T.transitions().mask
-    some = slice(None, None, 1 + len(r) // MANY)  # to sort them all would take longer than the rest of a refit
-    middle = jnp.nanmedian(jnp.where(mask, r, jnp.nan)[some])
+    some, there = evenly(mask, MANY)  # to sort them all would take longer than the rest of a refit
+    middle = jnp.nanmedian(jnp.where(there, r[some], jnp.nan))
     off = jnp.where(mask, r - middle, 0.0)
     square = jnp.sum((off**2).reshape(T.capacity, -1), axis=1) / jnp.maximum(T.rows.length, 1)
     spread = jnp.sqrt(jnp.nanmedian(jnp.where(T.filled & (T.rows.length > 0), square, jnp.nan)))
