@@ -4,7 +4,7 @@ import { draw } from "./dom.js";
 import { nice } from "./framing.js";
 import { short } from "./words.js";
 
-const MARGIN = { top: 14, right: 14, bottom: 34, left: 52 };
+const MARGIN = { top: 14, right: 14, bottom: 40, left: 52 };
 
 function ticks(lo, hi, about) {
   const step = nice((hi - lo) / about);
@@ -35,9 +35,9 @@ export function chart({ series, across, title, width = 640, height = 240, floor 
       draw("text.tick", { x: MARGIN.left - 8, y: y(v) + 4, "text-anchor": "end" }, label(v)));
   }
   for (const v of ticks(x0, x1, Math.max(2, width / 110))) {
-    if (Number.isInteger(v)) svg.append(draw("text.tick", { x: x(v), y: height - 17, "text-anchor": "middle" }, String(v)));
+    if (Number.isInteger(v)) svg.append(draw("text.tick", { x: x(v), y: height - 22, "text-anchor": "middle" }, String(v)));
   }
-  svg.append(draw("text.tick.axis", { x: width - MARGIN.right, y: height - 3.5, "text-anchor": "end" }, across));
+  svg.append(draw("text.tick.axis", { x: width - MARGIN.right, y: height - 7, "text-anchor": "end" }, across));
   series.forEach((s, i) => {
     if (!s.points.length) return;
     const path = s.points.map(([a, b], j) => `${j ? "L" : "M"}${x(a).toFixed(1)} ${y(b).toFixed(1)}`).join("");
