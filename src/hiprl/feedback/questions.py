@@ -177,7 +177,7 @@ def information(
     mean, std = mean[:, 0], jnp.sqrt(var[:, 0])
     if config.levels is None:
         return _distinct(clips, jnp.log(jnp.maximum(std, 1e-30)))
-    cuts = jnp.arange(1, config.levels) * 2 / (config.levels - 1) - 1 - 1 / (config.levels - 1)
+    cuts = cuts_between(config.levels)
     bits = jax.vmap(expected_information, in_axes=(0, 0, None, None))
     kappa, scale = reward.errors.kappa, reward.errors.scale
     return _distinct(clips, bits(mean * scale, std * scale, cuts, kappa))
@@ -189,12 +189,21 @@ def expected_information(mean: Scalar, std: Scalar, cuts: Float[Array, " levels_
     Source: Houlsby et al. (2011), with quadrature in place of the approximation for two levels.
     """
     u = mean + std * jnp.asarray(NODES)
-    below = jax.nn.sigmoid((cuts[None] - u[:, None]) / kappa)
-    edges = jnp.concatenate([jnp.zeros((len(NODES), 1)), below, jnp.ones((len(NODES), 1))], axis=1)
-    p = jnp.maximum(jnp.diff(edges, axis=1), 1e-12)
+    p = jnp.maximum(jax.vmap(answers_given, in_axes=(0, None, None))(u, cuts, kappa), 1e-12)
     weights = jnp.asarray(WEIGHTS / WEIGHTS.sum())
     entropy = lambda p: -jnp.sum(p * jnp.log(p), axis=-1)
     return entropy(weights @ p) - weights @ entropy(p)
+
+
+def cuts_between(levels: int) -> Float[Array, " levels_less_1"]:
+    """Where one level ends and the next begins, on a scale from -1 to 1."""
+    return jnp.arange(1, levels) * 2 / (levels - 1) - 1 - 1 / (levels - 1)
+
+
+def answers_given(u: Scalar, cuts: Float[Array, " levels_less_1"], kappa: Scalar) -> Float[Array, " levels"]:
+    """Probability of each level where the difference is u, perceived with a logistic error."""
+    below = jax.nn.sigmoid((cuts - u) / kappa)
+    return jnp.diff(below, prepend=0.0, append=1.0)
 
 
 def phi_of(T: Trajectories, features: AdditiveFeatures, clips: Clip, config: QuestionConfig) -> Float[Array, "clips D"]:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from hiprl.data.preference import Clip
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.feedback.questions import NODES, WEIGHTS, QuestionConfig, apart, drawn, phi_of
+from hiprl.feedback.questions import NODES, WEIGHTS, QuestionConfig, answers_given, apart, cuts_between, drawn, phi_of
 from hiprl.models.evidence import clip_sums
 from hiprl.models.reward import AdditiveReward
 from hiprl.types import Key, Scalar
@@ -52,7 +52,11 @@ def worth(T: Trajectories, reward: AdditiveReward, config: QuestionConfig, *, ke
     var = jnp.maximum(jnp.sum(psi**2 * reward.prior[None], axis=1) - jnp.sum(half_psi**2, axis=1), 0.0)
     std = jnp.sqrt(var)
     u = (psi @ reward.mean)[:, None] + std[:, None] * jnp.asarray(NODES)[None]  # (n, nodes)
-    p = answers_given(u * reward.errors.scale, reward.errors.kappa, config.levels)  # (n, nodes, answers)
+    if config.levels is None:  # a number says what the difference is
+        p = jnp.broadcast_to(jnp.eye(len(NODES))[None], (*u.shape, len(NODES)))
+    else:
+        given = jax.vmap(jax.vmap(answers_given, in_axes=(0, None, None)), in_axes=(0, None, None))
+        p = given(u * reward.errors.scale, cuts_between(config.levels), reward.errors.kappa)  # (n, nodes, answers)
     weights = jnp.asarray(WEIGHTS / WEIGHTS.sum())
     chance = jnp.einsum("j,njl->nl", weights, p)
     shift = jnp.einsum("j,j,njl->nl", weights, jnp.asarray(NODES), p) / jnp.maximum(chance, 1e-12)  # of u, in std
@@ -76,13 +80,3 @@ def seen(T: Trajectories, reward: AdditiveReward) -> tuple[Float[Array, "n D"], 
     there = T.real[:, None] & (steps >= jnp.maximum(jnp.minimum(SPAN, longest) // 2, 1))
     flat = jax.tree.map(lambda x: x.reshape(-1), at)
     return clip_sums(reward.features, T, flat, SPAN) / jnp.maximum(steps.reshape(-1), 1)[:, None], there.reshape(-1)
-
-
-def answers_given(u: Float[Array, "n nodes"], kappa: Scalar, levels: int | None) -> Float[Array, "n nodes answers"]:
-    """Probability of each answer where the difference is u: of a level, or, for a number, of itself."""
-    if levels is None:
-        return jnp.broadcast_to(jnp.eye(u.shape[1])[None], (*u.shape, u.shape[1]))
-    cuts = jnp.arange(1, levels) * 2 / (levels - 1) - 1 - 1 / (levels - 1)
-    below = jax.nn.sigmoid((cuts[None, None] - u[..., None]) / kappa)
-    ends = jnp.zeros((*u.shape, 1)), jnp.ones((*u.shape, 1))
-    return jnp.diff(jnp.concatenate([ends[0], below, ends[1]], axis=-1), axis=-1)

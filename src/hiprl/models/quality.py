@@ -60,7 +60,7 @@ def cross_validated(P: Preferences, T: Trajectories, config: RewardConfig, *, fo
         reward = estimate_reward(kept, T, None, config)
         assert isinstance(reward, AdditiveReward)
         found = np.stack([np.asarray(x) for x in predicted(P, T, reward, newest=int(np.flatnonzero(~out).max()))])
-        held[:, : P.capacity][:, :n][:, out] = found[:, :n][:, out]
+        held[:, :n][:, out] = found[:, :n][:, out]
     return Held(*map(jnp.asarray, held))
 
 
@@ -99,10 +99,7 @@ def _predicted(P: Preferences, T: Trajectories, reward: AdditiveReward, seen: Ev
     of_number = -0.5 * ((P.g - mean[:, 0]) / size) ** 2 / var - 0.5 * jnp.log(2 * jnp.pi * var)
     value = jnp.where(number, of_number, jax.vmap(one)(draws * scale[:, None, None], P.said, mistakes))
     low, high = P.said.low, P.said.high
-    above, below = (
-        jnp.where(number, P.g > 0, low > -high),
-        jnp.where(number, P.g < 0, -high > low),
-    )  # of 0, on the whole
+    above, below = low > -high, -high > low  # of 0, on the whole; either end may be infinite
     sign = above.astype(jnp.float32) - below.astype(jnp.float32)
     ranked = P.said.kind == Kind.RANKING
     used = jnp.arange(J)[None] < P.said.items[:, None] - 1
