@@ -25,6 +25,10 @@ from tests.web.trainer import CONFIG, begun
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is here (Debian: apt-get install chromium)")
 ANY_STORE = pytest.mark.parametrize("made", ["sqlite"], indirect=True)
 """What a browser shows of the same answers does not depend on where they are kept."""
+POSTGRESQL_SLOW = pytest.mark.parametrize(
+    "made", ["sqlite", pytest.param("postgresql", marks=pytest.mark.slow)], indirect=True
+)
+"""The same once more on a server, with those of the other slow tests."""
 PATIENCE = 60_000  # milliseconds, on a machine that does other things too
 expect.set_options(timeout=PATIENCE)  # what a page shows is waited for: its parts change one after the other
 
@@ -131,6 +135,7 @@ def as_shown(store: Store, run_id: str, k: int):
     return turned(row.answer, row.swapped)
 
 
+@POSTGRESQL_SLOW
 def test_a_person_answers_with_keys(served: Served):
     page = served.tab("/teach")
     wanted = {"ArrowLeft": choice(True), "5": level(-2, 5), "2": level(1, 5), "e": EQUALLY_GOOD, "u": CANNOT_TELL}
@@ -167,6 +172,7 @@ def test_undo_and_reload_lose_nothing(served: Served):
     assert len(served.store.answers(served.run_id)) == 3
 
 
+@POSTGRESQL_SLOW
 def test_a_person_has_had_enough(served: Served):
     with served.store.lease(served.run_id):
         page = served.tab("/teach")
@@ -212,6 +218,7 @@ def test_two_judges_answer_at_once(served: Served):
     assert sorted(row.k for row in rows) == [1, 2, 3, 4] and {row.judge for row in rows} == {"ada", "bo"}
 
 
+@POSTGRESQL_SLOW
 def test_the_first_visit_asks_what_is_wanted(made: str, store: Store, browser: Any):
     run_id = a_taught_run(store)
     with started("serve", run_id, "--store", made, "--port", "8700") as page:
@@ -335,6 +342,7 @@ def test_nothing_moves_where_nobody_wants_it(served: Served):
         served.press(page, "1")
 
 
+@POSTGRESQL_SLOW
 def test_an_answer_is_changed_in_review(served: Served):
     page = served.tab("/teach")
     k = served.press(page, "1")
