@@ -264,7 +264,8 @@ def test_long_episodes_are_looked_further_into(H, gamma):
 
 @pytest.mark.parametrize("settings", [{"gamma": 1.0}, {"gamma": -0.1}, {"updates": 0}, {"trial_starts": 0}])
 def test_impossible_settings_are_told(settings):
-    with pytest.raises(InputError, match="at least one of each"):
+    (setting,) = settings.items()
+    with pytest.raises(InputError, match="got {} = {} for the search".format(*setting)):
         GradientConfig(**settings)
 
 

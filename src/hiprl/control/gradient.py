@@ -77,6 +77,18 @@ class GradientConfig:
     trial_starts: int = 8
     """Trials in each member."""
 
+    def __post_init__(self) -> None:
+        counts = ("chunks", "updates", "rollouts", "steps", "value_updates", "trial_steps", "trial_starts")
+        wrong = [name for name in counts if getattr(self, name) < 1]
+        if not 0 <= (self.gamma or 0) < 1:
+            wrong.append("gamma")
+        if wrong:
+            raise InputError(
+                f"got {', '.join(f'{name} = {getattr(self, name)}' for name in wrong)} for the search; counts of at "
+                "least 1 and a discount from 0 to below 1 are needed, as a value is a sum without end. Leave out what "
+                "you are not sure of."
+            )
+
     def layers(self, p: int) -> tuple[int, ...]:
         """Units of the hidden layers, where a state has `p` entries."""
         usual = (64, 64) if p <= FEW else (128, 128)
@@ -85,14 +97,6 @@ class GradientConfig:
     def discount(self, H: int) -> float:
         """γ in episodes of at most H steps."""
         return min(max(1 - 2 / H, 0.99), 0.995) if self.gamma is None else self.gamma
-
-    def __post_init__(self) -> None:
-        whole = (self.chunks, self.updates, self.rollouts, self.steps, self.value_updates, self.trial_steps)
-        if min(*whole, self.trial_starts) < 1 or not 0 <= (self.gamma or 0) < 1:
-            raise InputError(
-                f"got {self}; at least one of each is needed, and a discount from 0 to below 1, as a value is a sum "
-                "without end. Leave out what you are not sure of."
-            )
 
 
 def new_gradient(inputs: Scaler, size: int, config: GradientConfig, *, key: Key) -> SearchState:

@@ -19,7 +19,6 @@ from hiprl.models.sums import Steps, columns, evenly, side_by_side, steps_of, to
 from hiprl.types import Count
 
 BOX_MARGIN = 0.25  # how far past the seen range a coordinate, and the reward itself, may count
-MANY = 4096  # steps over which the features' mean is taken where there are more
 TOGETHER, PART = 8, 512  # clips, and steps, whose features are made at a time: what stays near the processor
 
 
@@ -33,7 +32,7 @@ def features_of(steps: Steps) -> AdditiveFeatures:
     most = scaler.down(jnp.max(jnp.where(mask[None], x, -jnp.inf), axis=1))
     margin = BOX_MARGIN * (most - least)
     features = AdditiveFeatures(scaler, least - margin, most + margin, jnp.zeros(size_of(x.shape[0]), x.dtype))
-    some, there = evenly(mask, MANY)  # a mean of many does not need them all
+    some, there = evenly(mask)  # a mean of many does not need them all
     each = lambda x: total(features, columns(features, x[0]), x[1])
     whole = jnp.sum(jax.lax.map(each, (in_parts(x[:, some]), in_parts(there[None])[:, 0])), axis=0)
     centre = (whole / jnp.maximum(whole[0], 1)).at[0].set(0.0)

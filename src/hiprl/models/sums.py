@@ -15,6 +15,8 @@ from jaxtyping import Array, Bool, Float, Int
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.features import AdditiveFeatures, by_entry, functions, waves
 
+MANY = 4096  # steps over which a mean or a median is taken where there are more
+
 
 class Steps(NamedTuple):
     """All steps that T has room for, one trajectory after the other."""
@@ -41,7 +43,7 @@ def side_by_side(s: Float[Array, "steps p"], a: Float[Array, "steps q"]) -> Floa
     return jax.lax.optimization_barrier(x.T)  # or who uses it would put it together anew
 
 
-def evenly(mask: Bool[Array, " steps"], most: int) -> tuple[Int[Array, " most"], Bool[Array, " most"]]:
+def evenly(mask: Bool[Array, " steps"], most: int = MANY) -> tuple[Int[Array, " most"], Bool[Array, " most"]]:
     """Indices of at most `most` steps where the mask is true, from everywhere among them, and which ones are that."""
     k = min(most, mask.shape[0])
     count = jnp.sum(mask)

@@ -13,7 +13,6 @@ from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.sums import evenly
 from hiprl.types import Scalar
 
-MANY = 4096  # steps over which the middle is taken where there are more
 FAR = 5.0  # spreads of a usual trajectory below the middle, where a step counts half
 
 
@@ -23,7 +22,7 @@ def counts(r: Float[Array, " steps"], T: Trajectories) -> Float[Array, " steps"]
     Middle and spread are medians, over steps and over trajectories, so that a few of either do not change them.
     """
     mask = T.transitions().mask
-    some, there = evenly(mask, MANY)  # to sort them all would take longer than the rest of a refit
+    some, there = evenly(mask)  # to sort them all would take longer than the rest of a refit
     middle = jnp.nanmedian(jnp.where(there, r[some], jnp.nan))
     off = jnp.where(mask, r - middle, 0.0)
     square = jnp.sum((off**2).reshape(T.capacity, -1), axis=1) / jnp.maximum(T.rows.length, 1)
