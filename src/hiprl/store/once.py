@@ -105,9 +105,8 @@ def add_answer(connection: sa.Connection, run_id: str, k: int, answer: Answer, j
     """An answer to episode k's question; False, and nothing, if its newest one is this judge's and the same."""
     mine = (questions.c.run_id == run_id) & (questions.c.k == k)
     query = sa.select(questions.c.id, questions.c.clips, runs.c.spec).join(runs).where(mine)
-    asked = connection.execute(
-        query.with_for_update(of=questions)
-    ).one_or_none()  # or one said twice might be kept twice
+    query = query.with_for_update(of=questions)  # or what is said twice at once would be kept twice
+    asked = connection.execute(query).one_or_none()
     if asked is None:
         raise InputError(
             f"run {run_id} asks nothing in episode {k}; an answer needs its question. "
