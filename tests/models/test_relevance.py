@@ -13,10 +13,11 @@ from tests.data.samples import answers
 N = 5
 
 
-def noise_set(n, *, seed, H=31, p=9, q=3):
-    """Trajectories through noise."""
+def noise_set(n, *, seed, H=31, p=9, q=3, varied=False):
+    """Trajectories through noise; by actions that are smaller in some of them, if so asked."""
     rng = np.random.default_rng(seed)
-    arrays = lambda: (rng.normal(size=(H + 1, p)), rng.uniform(-1, 1, size=(H, q)), np.zeros(H))
+    size = lambda: rng.uniform() if varied else 1.0
+    arrays = lambda: (rng.normal(size=(H + 1, p)), size() * rng.uniform(-1, 1, size=(H, q)), np.zeros(H))
     taus = [
         Trajectory(*(jnp.asarray(x, jnp.float32) for x in arrays()), jnp.asarray(H, jnp.int32), jnp.asarray(False))
         for _ in range(n)
@@ -73,4 +74,14 @@ def test_one_entry_is_found_by_fewer_answers_than_there_are_entries():
     reward = estimate_additive_reward(P, T, AdditiveConfig())
     slopes = np.abs(np.asarray(reward.mean[1:13]))
     assert slopes[1] > 3 * np.delete(slopes, 1).max()
+    assert np.corrcoef(np.asarray(reward.returns(new)), paid(new))[0, 1] > 0.95
+
+
+@pytest.mark.parametrize("seed", [1, 7])
+def test_what_is_wanted_is_found_beside_the_effort_that_explains_most(seed):
+    T, new = (noise_set(8, seed=seed, H=200, varied=True) for seed in (seed, seed + 100))
+    effort = lambda T: (np.asarray(T.rows.actions, float) ** 2).sum(axis=(1, 2))
+    paid = lambda T: np.asarray(T.rows.states[:, :-1, 1], float).sum(axis=1) - 0.1 * effort(T)
+    P = answers([(k + 1, k) for k in range(5)], np.diff(paid(T))[:5], capacity=7)
+    reward = estimate_additive_reward(P, T, AdditiveConfig())
     assert np.corrcoef(np.asarray(reward.returns(new)), paid(new))[0, 1] > 0.95

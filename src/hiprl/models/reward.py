@@ -28,6 +28,8 @@ from hiprl.models.usual import typical_size
 from hiprl.types import Action, Reward, Scalar, State
 
 ROUNDS = 5  # of finding relevance for the scales, and scales for the relevance
+FEW = 16  # answers, up to which each entry is tried as the most relevant one
+FOREMOST = 0.8  # share of all relevance that it has then
 FINER = 1.0  # nats that a smooth part with a lengthscale e times as short has to earn
 JUDGES = 16  # whose mistakes are told apart; further ones count as the last
 
@@ -178,9 +180,11 @@ def estimate_additive_reward(
             jnp.asarray(seen.Psi[:, 0], jnp.float64),
             jnp.asarray(jnp.where(P.filled, P.g, 0.0), jnp.float64),
             P.filled,
-            priors.astype(jnp.float64),
-            jnp.asarray(config.noise, jnp.float64),
-            jnp.asarray(believed(config.kernels)),
+            Candidates(
+                priors.astype(jnp.float64),
+                jnp.asarray(believed(config.kernels)),
+                jnp.asarray(config.noise, jnp.float64),
+            ),
         )
         posterior = jax.tree.map(lambda x: x.astype(jnp.float32), posterior)
     mean, prior, root = posterior
@@ -188,16 +192,44 @@ def estimate_additive_reward(
     return additive_reward(T, seen, mean, prior, root, Errors.of_numbers())
 
 
+class Candidates(NamedTuple):
+    """Scales among which the likeliest are found."""
+
+    priors: Float[Array, "kernels D"]
+    """Prior variance of each weight for each kernel."""
+    believed: Float[Array, " kernels"]
+    """Log prior of each kernel."""
+    noises: Float[Array, " noises"]
+
+
 @jax.jit
-def _posterior(
+def _posterior(Psi: Float[Array, "K D"], g: Float[Array, " K"], filled: Bool[Array, " K"], among: Candidates):
+    """Mean, prior variance and root for the likeliest scales: marginal likelihood times prior.
+
+    While answers are few, many an entry may explain them, and from where all are alike each round only strengthens the
+    mixture that came first: an r̂ that knows of nothing but effort, and rests. So each entry is tried as the first.
+    """
+    entries = by_entry(among.priors).shape[1]
+    alike = jnp.ones(entries, Psi.dtype)
+
+    def likeliest():
+        few = slice(0, FEW)
+        starts = jnp.concatenate([alike[None], FOREMOST * entries * jnp.eye(entries) + (1 - FOREMOST)])
+        likely, _ = jax.vmap(lambda start: _settled(start, Psi[few], g[few], filled[few], among))(starts)
+        return starts[jnp.argmax(likely)]
+
+    start = jax.lax.cond(jnp.sum(filled) <= FEW, likeliest, lambda: alike)
+    return _settled(start, Psi, g, filled, among)[1]
+
+
+def _settled(
+    start: Float[Array, " entries"],
     Psi: Float[Array, "K D"],
     g: Float[Array, " K"],
     filled: Bool[Array, " K"],
-    priors: Float[Array, "kernels D"],
-    noises: Float[Array, " noises"],
-    believed: Float[Array, " kernels"],
+    among: Candidates,
 ):
-    """Mean, prior variance and root for the likeliest candidate: marginal likelihood times prior.
+    """Log likelihood, and mean, prior variance and root, from this relevance on.
 
     What is found relevant under one candidate changes which is the likeliest: they are found in turn.
     """
@@ -221,18 +253,20 @@ def _posterior(
 
     def one_round(before: tuple[Float[Array, " entries"], Scalar], _: None):
         relevance, noise = before
-        spread = spread_by(priors, relevance)
+        spread = spread_by(among.priors, relevance)
         likely = jax.lax.map(lambda prior: under(prior, noise[None])[0][0], spread)
-        prior = spread[jnp.argmax(likely + believed)]
-        likely, L, G_g, scale = under(prior, noises)
+        kernel = jnp.argmax(likely + among.believed)
+        prior = spread[kernel]
+        likely, L, G_g, scale = under(prior, among.noises)
         best = jnp.argmax(likely)
         L, G_g, scale = L[best], G_g[best], scale[best]
         half = jax.scipy.linalg.solve_triangular(L, Psi * prior[None], lower=True)
         posterior = prior * (Psi.T @ G_g), prior * scale, half * jnp.sqrt(scale)
-        return (relevance_of(*posterior, relevance, freedom=OF_NUMBERS), noises[best]), posterior
+        next_one = relevance_of(*posterior, relevance, freedom=OF_NUMBERS), among.noises[best]
+        return next_one, (likely[best] + among.believed[kernel], posterior)
 
-    start = jnp.ones(by_entry(priors).shape[1], priors.dtype), noises[len(noises) // 2]
-    return jax.tree.map(lambda x: x[-1], jax.lax.scan(one_round, start, length=ROUNDS)[1])
+    first = start, among.noises[len(among.noises) // 2]
+    return jax.tree.map(lambda x: x[-1], jax.lax.scan(one_round, first, length=ROUNDS)[1])
 
 
 @jax.jit
