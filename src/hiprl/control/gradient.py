@@ -3,9 +3,9 @@
 One update imagines a batch of rollouts of a few steps in the hallucinated model, and moves the policy up the gradient
 of its TD(λ) return; the value follows by regression to the returns of all steps. Rollouts begin at states that were
 seen, or go on where others ended: the value must hold where the policy goes, too, or the policy climbs its errors.
-Updates come in chunks. After each chunk the policy is tried for longer in every member of the belief, from where
-episodes begin, and the iterate whose worst member is best is the one that is kept. An optimist keeps the one that is
-best in the hallucinated model itself: most of what it hopes for is in no member, and would never be executed.
+Updates come in chunks. After each chunk the policy is tried for longer, from where episodes begin, in a world that is
+less kind than any member of the belief, and the iterate that is best there is the one that is kept. An optimist keeps
+the one that is best in the hallucinated model itself: most of what it hopes for would else never be executed.
 Source: value gradients through a model (SVG, Heess et al. 2015; Dreamer, Hafner et al. 2020), eq. (6) of HIP-RL.
 """
 
@@ -21,7 +21,19 @@ import jax.random as jr
 import optax
 from jaxtyping import Array, Float, Int
 
-from hiprl.control.imagined import Chance, Ends, SearchReport, SearchState, Starts, along, report_of, rollouts, trials
+from hiprl.control.imagined import (
+    Chance,
+    Doubt,
+    Ends,
+    SearchReport,
+    SearchState,
+    Starts,
+    along,
+    doubtful_trials,
+    report_of,
+    rollouts,
+    trials,
+)
 from hiprl.control.policy import SquashedPolicy, Value, unscaled
 from hiprl.errors import InputError
 from hiprl.hallucinated import Hallucinated
@@ -40,7 +52,7 @@ class GradientConfig:
     activation: Activation = "elu"
     """Between layers of policy and value."""
     chunks: int = 8
-    """Looks at the policy in every member during one search, at most."""
+    """Looks at the policy during one search, at most."""
     updates: int = 100
     """Policy updates between two looks."""
     rollouts: int = 50
@@ -156,7 +168,7 @@ def gradient_search(
     gamma = config.discount(H)
     scale = unit / (1 - gamma)
     policy = cast("SquashedPolicy", state.policy).rescaled(starts.scaler)
-    trial_key, value_key, key = jr.split(key, 3)
+    trial_key, doubt_key, value_key, key = jr.split(key, 4)
     value = new_value(starts.scaler, config, key=value_key).rescaled(starts.scaler, scale)
     worlds, axis = f_tilde.worlds()
     M = stacked_size(f_tilde.dynamics.members())
@@ -249,35 +261,33 @@ def gradient_search(
         value, target = (V.raised(config.offset_rate * off) for V in (value, target))
         return Learner(policy, value, target, policy_state, value_state, *end), None
 
-    everywhere = f_tilde.in_each_member()
-
-    def tried(learner: Learner) -> tuple[SearchReport, Scalar]:
-        report = report_of(trials(everywhere, learner.policy, reward, ends, chance))
-        if not f_tilde.hopes:
-            return report, report.worst
-        return report, jnp.mean(trials(f_tilde, learner.policy, reward, ends, chance, axis=None, value=learner.value))
+    def score_of(learner: Learner) -> Scalar:
+        if f_tilde.hopes:
+            return jnp.mean(trials(f_tilde, learner.policy, reward, ends, chance, axis=None, value=learner.value))
+        return jnp.mean(doubtful_trials(f_tilde, learner.policy, reward, ends, chance, doubt))
 
     # The value settles in the same program in which the policy moves: two would take longer to compile.
     def chunk(i: Count, carry):
-        learner, best, best_report, best_score, key = carry
+        learner, best, best_score, key = carry
         key, update_key = jr.split(key)
         moving = i >= settling
         learner, _ = jax.lax.scan(partial(update, moving=moving), learner, jr.split(update_key, config.updates))
-        report, score = jax.lax.cond(moving, tried, lambda _: nothing, learner)
-        better = report.finite & ~(score <= best_score)
+        score = jax.lax.cond(moving, score_of, lambda _: nothing, learner)
+        better = jnp.isfinite(score) & (score > best_score)
         keep = lambda new, old: jnp.where(better, new, old)
         best = jax.tree.map(keep, SearchState(learner.policy, learner.value), best)
-        return learner, best, jax.tree.map(keep, report, best_report), keep(score, best_score), key
+        return learner, best, keep(score, best_score), key
 
     nowhere = jnp.zeros((*shape, starts.seen.shape[1])), jnp.zeros(shape)
     learner = Learner(policy, value, value, descent(policy_opt, policy), descent(value_opt, value), *nowhere)
     length = min(config.trial_steps, H)
     chance = Chance.draw(starts.first, M=M, n=config.trial_starts, steps=length, key=trial_key)
+    doubt = Doubt.draw(chance, q=policy.size, key=doubt_key)
     # Where the search begins is no candidate: it was executed, and to execute it again would teach nothing.
-    nothing = SearchReport.nothing(), jnp.asarray(-jnp.inf)
-    carry = (learner, state, *nothing, key)
+    nothing = jnp.asarray(-jnp.inf)
     # A policy near one that holds in the world is likelier to hold there: the model is at fault further away.
     settling = -(-config.settling // config.updates)
     chunks = jnp.maximum(config.chunks >> jnp.minimum(setbacks, 1), 1)
-    _, best, report, *_ = jax.lax.fori_loop(0, settling + chunks, chunk, carry)
-    return best, report
+    _, best, score, _ = jax.lax.fori_loop(0, settling + chunks, chunk, (learner, state, nothing, key))
+    report = report_of(trials(f_tilde.in_each_member(), best.policy, reward, ends, chance))
+    return best, report._replace(finite=report.finite & jnp.isfinite(score))

@@ -10,12 +10,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from hiprl.control.policy import ClippedPolicy, SquashedPolicy, Value
 from hiprl.hallucinated import Hallucinated
 from hiprl.models.network import Scaler
 from hiprl.types import Action, Flag, Key, Policy, Reward, Scalar, State
+
+DOUBT = 2.0  # times as far from their mean as they are: where members lie in a doubtful trial
+SHAKE = 0.1  # standard deviation of the noise in actions there
 
 Ends = Callable[[State, Action, State], Flag]
 """When an imagined episode terminates. A pytree, so that a learned rule does not recompile a search."""
@@ -109,6 +112,22 @@ class Chance(NamedTuple):
         return cls(jr.choice(start_key, first, (M, n)), jr.normal(draw_key, (steps, M, n, first.shape[1])))
 
 
+class Doubt(NamedTuple):
+    """What of a doubtful trial is chance besides."""
+
+    member: Int[Array, "steps M n"]
+    """Which one the world is, at each step."""
+    shake: Float[Array, "steps M n q"]
+    """Added to the actions."""
+
+    @classmethod
+    def draw(cls, chance: Chance, *, q: int, key: Key) -> Doubt:
+        """For the trials of `chance`, with q entries of action."""
+        member_key, shake_key = jr.split(key)
+        when = chance.draws.shape[:-1]
+        return cls(jr.randint(member_key, when, 0, when[1]), SHAKE * jr.normal(shake_key, (*when, q)))
+
+
 def trials(
     worlds: Hallucinated,
     policy: Policy,
@@ -139,3 +158,34 @@ def trials(
     s, a, s_next, bonus = rollouts(step, worlds, chance.s_0, chance.draws, axis=axis)
     _, alive = along(ends, s, a, s_next)
     return jnp.sum(alive * (reward.of_steps(s, a) + bonus), axis=0)
+
+
+def doubtful_trials(
+    f_tilde: Hallucinated, policy: Policy, reward: Reward, ends: Ends | None, chance: Chance, doubt: Doubt
+) -> Float[Array, "M n"]:
+    """Return by r̂ where the world is another member at each step, all of them further apart, and the hand unsteady.
+
+    Members agree on much that is wrong, and a policy that was searched in them has found it: what it gains must not
+    hang on which of them is right for a whole episode.
+
+    Args:
+        f_tilde: the model whose members are meant; no mode that hopes.
+        policy: what acts.
+        reward: r̂.
+        ends: when an imagined episode terminates; None for never.
+        chance: where the trials begin, and the noise of the world on their way.
+        doubt: which member it is, and the noise in actions.
+    """
+    members = f_tilde.dynamics.members()
+
+    def step(_: Hallucinated, s: State, now: tuple[State, Doubt]):
+        draw, (i, off) = now
+        a = jnp.clip(policy.mode(s) + off, -1.0, 1.0)
+        each = jax.vmap(lambda member: member.predict(s, a))(members)
+        mu = jnp.mean(each.mu, axis=0)
+        s_next = jnp.clip(mu + DOUBT * (each.mu[i] - mu) + each.noise[i] * draw, f_tilde.low, f_tilde.high)
+        return s_next, (s, a, s_next)
+
+    s, a, s_next = rollouts(step, f_tilde, chance.s_0, (chance.draws, doubt), axis=None)
+    _, alive = along(ends, s, a, s_next)
+    return jnp.sum(alive * reward.of_steps(s, a), axis=0)
