@@ -88,14 +88,16 @@ def fit_work(config: DynamicsConfig, p: int, q: int) -> Work:
 
 
 def gradient_work(config: GradientConfig, made: Setting) -> Work:
-    """An update of the search by gradients, with its share of a trial and of what comes before the first update."""
+    """An update of the search by gradients, with its share of trials and of what comes before the first update."""
     p, size, M, dynamics, everywhere = shapes(made)
     n = M * config.rollouts
     policy, value = (p, *config.layers(p), 2 * size), (p, *config.layers(p), 1)
     rows = n if everywhere else config.rollouts
     step = network(M, rows, dynamics, inputs=True) + network(1, n, policy, weights=True, inputs=True)
     plain = network(M, rows, dynamics) + network(1, n, policy)  # while the value settles
-    trial = network(M, config.trial_starts, dynamics) + network(1, M * config.trial_starts, policy)
+    acts = network(1, M * config.trial_starts, policy)
+    look = network(M, M * config.trial_starts, dynamics) + acts  # each trial asks all members
+    last = network(M, config.trial_starts, dynamics) + acts
     fit = times(config.value_updates, network(1, n * config.steps // config.value_updates, value, weights=True))
     fit += network(1, n * config.steps, value)  # its mean error
     settling = times(config.steps, plain) + network(1, n * config.steps, value) + fit
@@ -104,7 +106,8 @@ def gradient_work(config: GradientConfig, made: Setting) -> Work:
         + network(1, n * config.steps, value, inputs=True)
         + fit
         + times(config.settling / (config.chunks * config.updates), settling)
-        + times(config.trial_steps / config.updates, trial)
+        + times(config.trial_steps / config.updates, look)
+        + times(config.trial_steps / (config.chunks * config.updates), last)
     )
 
 
