@@ -28,7 +28,7 @@ help:
 demo: .venv/.installed
 	@mkdir -p runs
 	$(DEMO)
-	@echo "Next: $(BIN)/hiprl train HalfCheetah-v5   (learns to run from 30 comparisons; about 15 minutes)"
+	@echo "Next: $(BIN)/hiprl train HalfCheetah-v5   (learns to run from 30 comparisons; 4 to 15 minutes)"
 	@echo "  or: $(BIN)/hiprl teach HalfCheetah-v5   (you compare clips in the browser, and it learns what you want)"
 
 test: .venv/.installed-dev

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from jax.tree_util import Partial
 
+from hiprl.control import imagined
 from hiprl.control.gradient import GradientConfig, gradient_search, new_gradient, new_value
 from hiprl.control.imagined import Chance, trials
 from hiprl.control.plan import Follow
 from hiprl.errors import InputError
 from hiprl.rollout import roll_out
-from hiprl.types import Reward, stacked_size
+from hiprl.types import Dynamics, Prediction, Reward, stacked_size
 from hiprl.world.linear import default_linear
 from tests.control.known import M, known, quadratic, starts
 from tests.data.samples import p, q
@@ -334,6 +335,35 @@ def test_an_optimist_keeps_what_it_hopes_most_of(mode):
         assert size(whole) < 0.1
     else:
         assert size(whole) > size(half) > 0.1 and report.worst < first.worst
+
+
+class Torn(Dynamics):
+    """Two members: the action moves the state as far up as down. On average, nowhere."""
+
+    sign: jax.Array
+
+    def predict(self, s, a):
+        return Prediction(self.sign * jnp.append(a, 0.0), jnp.zeros_like(s), jnp.zeros_like(s))
+
+    def members(self):
+        return Torn(jnp.array([1.0, -1.0]))
+
+
+@pytest.mark.parametrize("doubt", [2.0, 1.0])
+def test_what_gains_only_where_members_lie_near_is_not_kept(monkeypatch, doubt):
+    # each action costs what it moves: 0.4 is best in each member, 0.2 where they lie twice as far from their mean
+    monkeypatch.setattr(imagined, "DOUBT", doubt)
+    f_tilde = replace(known(mode="thompson"), dynamics=Torn(jnp.zeros(())))
+    reward = quadratic(Q=np.eye(p), R=np.eye(q), c=np.full(q, 0.8))
+    config = replace(CONFIG, updates=10)  # too few to arrive at first
+
+    @jax.jit
+    def search(setbacks):
+        more = {"H": 1000, "setbacks": setbacks, "key": jr.key(2)}
+        return gradient_search(f_tilde, reward, jnp.asarray(1.0), None, starts(), blank(), config, **more)
+
+    half, whole = (np.abs(modes(search(jnp.asarray(n))[0], starts().seen)).mean() for n in (1, 0))
+    assert whole == half if doubt == 2 else whole > half + 0.05
 
 
 def test_trials_in_the_model_itself_hope():

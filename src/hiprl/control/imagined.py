@@ -18,7 +18,7 @@ from hiprl.models.network import Scaler
 from hiprl.types import Action, Flag, Key, Policy, Reward, Scalar, State
 
 DOUBT = 2.0  # times as far from their mean as they are: where members lie in a doubtful trial
-SHAKE = 0.1  # standard deviation of the noise in actions there
+SHAKE = 0.1  # standard deviation of the noise in actions there, as they carry while a run learns
 
 Ends = Callable[[State, Action, State], Flag]
 """When an imagined episode terminates. A pytree, so that a learned rule does not recompile a search."""
@@ -176,12 +176,11 @@ def doubtful_trials(
         chance: where the trials begin, and the noise of the world on their way.
         doubt: which member it is, and the noise in actions.
     """
-    members = f_tilde.dynamics.members()
 
-    def step(_: Hallucinated, s: State, now: tuple[State, Doubt]):
+    def step(f_tilde: Hallucinated, s: State, now: tuple[State, Doubt]):
         draw, (i, off) = now
         a = jnp.clip(policy.mode(s) + off, -1.0, 1.0)
-        each = jax.vmap(lambda member: member.predict(s, a))(members)
+        each = jax.vmap(lambda member: member.predict(s, a))(f_tilde.dynamics.members())
         mu = jnp.mean(each.mu, axis=0)
         s_next = jnp.clip(mu + DOUBT * (each.mu[i] - mu) + each.noise[i] * draw, f_tilde.low, f_tilde.high)
         return s_next, (s, a, s_next)
