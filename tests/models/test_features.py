@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 
 from hiprl.models.evidence import features_of
-from hiprl.models.features import INSIDE, REACH, WAVES, Kernel, functions, spectrum, waves
+from hiprl.models.features import INSIDE, REACH, WAVES, Kernel, functions, parts_of, priors_of, spectrum, waves
+from hiprl.models.reward import AdditiveConfig
 from hiprl.models.sums import steps_of
 from tests.data.samples import clean, p, q, seeds, set_of, trajectory
 
@@ -107,3 +108,10 @@ def test_the_prior_is_as_wide_for_the_bias_as_for_all_the_rest(features):
     assert prior[0] == n * (1 + 3)
     np.testing.assert_array_equal(prior[1 : 1 + n], 1)
     np.testing.assert_allclose(prior[1 + n :].reshape(n, WAVES), np.tile(3 * spectrum(0.5), (n, 1)), rtol=1e-6)
+
+
+def test_the_prior_of_each_kernel_is_the_sum_of_its_parts(features):
+    kernels = AdditiveConfig().kernels
+    parts, shares = parts_of(features, kernels)
+    assert len(parts) < len(kernels)
+    np.testing.assert_allclose(shares @ parts, priors_of(features, kernels), rtol=1e-6, atol=1e-6)

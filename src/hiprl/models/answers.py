@@ -211,11 +211,13 @@ def estimate_from_answers(
     return additive_reward(T, seen, *posterior, errors)
 
 
+@jax.jit
 def in_64_bits(x: PyTree) -> PyTree:
     """The same with float64 for float32."""
     return jax.tree.map(lambda x: x.astype(jnp.float64) if x.dtype == jnp.float32 else x, x)
 
 
+@jax.jit
 def in_32_bits(x: PyTree) -> PyTree:
     """The same with float32 for float64."""
     return jax.tree.map(lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, x)

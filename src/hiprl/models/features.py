@@ -85,6 +85,22 @@ def priors_of(features: AdditiveFeatures, kernels: tuple[Kernel, ...]) -> Float[
     return jnp.stack([features.prior(kernel) for kernel in kernels])
 
 
+@partial(jax.jit, static_argnames=("kernels",))
+def parts_of(
+    features: AdditiveFeatures, kernels: tuple[Kernel, ...]
+) -> tuple[Float[Array, "parts D"], Float[Array, "kernels parts"]]:
+    """Prior variances whose sums are those for each kernel, and how often each counts.
+
+    One is of the straight part, and one of a smooth part of variance 1 for each lengthscale.
+    """
+    lengths = tuple(dict.fromkeys(kernel.length for kernel in kernels))
+    straight, *whole = priors_of(
+        features, tuple(Kernel(float(i > 0), length) for i, length in enumerate((1.0, *lengths)))
+    )
+    shares = [[1.0, *(kernel.variance * (kernel.length == length) for length in lengths)] for kernel in kernels]
+    return jnp.stack([straight, *(each - straight for each in whole)]), jnp.array(shares)
+
+
 def size_of(n: int) -> int:
     """D for n coordinates."""
     return 1 + n * (1 + WAVES)

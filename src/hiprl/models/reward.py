@@ -21,7 +21,7 @@ from hiprl.data.preference import Preferences
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.evidence import BOX_MARGIN, Evidence, evidence
-from hiprl.models.features import AdditiveFeatures, Kernel, by_entry, priors_of
+from hiprl.models.features import AdditiveFeatures, Kernel, by_entry, parts_of
 from hiprl.models.relevance import OF_NUMBERS, relevance_of, spread_by
 from hiprl.models.sums import columns, side_by_side, steps_of, values
 from hiprl.models.usual import typical_size
@@ -174,14 +174,15 @@ def estimate_additive_reward(
     Source: HIP-RL eq. (7) and Theorem 4.3; the posterior of a linear model observed through sums.
     """
     seen = evidence(T, P, longest=longest)
-    priors = priors_of(seen.features, config.kernels)
+    parts, shares = parts_of(seen.features, config.kernels)
     with jax.enable_x64(True):  # Cholesky of nearly dependent rows: answers are almost free of noise
         posterior = _posterior(
             jnp.asarray(seen.Psi[:, 0], jnp.float64),
             jnp.asarray(jnp.where(P.filled, P.g, 0.0), jnp.float64),
             P.filled,
             Candidates(
-                priors.astype(jnp.float64),
+                parts.astype(jnp.float64),
+                shares.astype(jnp.float64),
                 jnp.asarray(believed(config.kernels)),
                 jnp.asarray(config.noise, jnp.float64),
             ),
@@ -195,8 +196,10 @@ def estimate_additive_reward(
 class Candidates(NamedTuple):
     """Scales among which the likeliest are found."""
 
-    priors: Float[Array, "kernels D"]
-    """Prior variance of each weight for each kernel."""
+    parts: Float[Array, "parts D"]
+    """Prior variances of the weights, of which that for each kernel is a sum."""
+    shares: Float[Array, "kernels parts"]
+    """How often each part counts for each kernel."""
     believed: Float[Array, " kernels"]
     """Log prior of each kernel."""
     noises: Float[Array, " noises"]
@@ -209,7 +212,7 @@ def _posterior(Psi: Float[Array, "K D"], g: Float[Array, " K"], filled: Bool[Arr
     While answers are few, many an entry may explain them, and from where all are alike each round only strengthens the
     mixture that came first: an r̂ that knows of nothing but effort, and rests. So each entry is tried as the first.
     """
-    entries = by_entry(among.priors).shape[1]
+    entries = by_entry(among.parts).shape[1]
     alike = jnp.ones(entries, Psi.dtype)
 
     def likeliest():
@@ -237,9 +240,8 @@ def _settled(
     square = jnp.sum(g**2) / n
     least = jnp.where(square > 0, 1e-12 * square, 1.0)  # in the judge's unit, whatever that is
 
-    def under(prior: Float[Array, " D"], noises: Float[Array, " some"]):
+    def under(K: Float[Array, "K K"], noises: Float[Array, " some"]):
         """Log likelihood, Cholesky factor L, K⁻¹g and overall variance for each noise."""
-        K = (Psi * prior[None]) @ Psi.T
         level = jnp.where(jnp.trace(K) > 0, jnp.trace(K) / n, 1.0)  # what the prior expects of g²
 
         def with_noise(noise: Scalar):
@@ -253,11 +255,14 @@ def _settled(
 
     def one_round(before: tuple[Float[Array, " entries"], Scalar], _: None):
         relevance, noise = before
-        spread = spread_by(among.priors, relevance)
-        likely = jax.lax.map(lambda prior: under(prior, noise[None])[0][0], spread)
+        parts = spread_by(among.parts, relevance)
+        K_of = jax.lax.map(lambda part: (Psi * part[None]) @ Psi.T, parts)
+        sum_of = lambda share, x: jnp.tensordot(share, x, 1)
+        likely = jax.lax.map(lambda share: under(sum_of(share, K_of), noise[None])[0][0], among.shares)
         kernel = jnp.argmax(likely + among.believed)
-        prior = spread[kernel]
-        likely, L, G_g, scale = under(prior, among.noises)
+        share = among.shares[kernel]
+        prior = sum_of(share, parts)
+        likely, L, G_g, scale = under(sum_of(share, K_of), among.noises)
         best = jnp.argmax(likely)
         L, G_g, scale = L[best], G_g[best], scale[best]
         half = jax.scipy.linalg.solve_triangular(L, Psi * prior[None], lower=True)
