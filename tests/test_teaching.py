@@ -318,6 +318,35 @@ def test_it_ends_when_a_judge_has_had_enough(tmp_path):
         assert any(facts["searched"] for _, facts in store.episodes(run_id))
 
 
+def test_a_corrected_answer_is_practised_as_a_new_one_is(tmp_path):
+    path, resting = str(tmp_path / "runs.db"), []
+    run_id = begun(path, replace(CONFIG, comparisons=12))
+
+    def enough():
+        with open_store(path) as store:
+            store.say_enough(run_id, "ada")
+
+    end = threading.Timer(120, enough)  # where it goes on resting
+
+    def answer(what):
+        with open_store(path) as store:
+            for _ in range(FIRST if what == "the first answers" else 0):
+                while (question := store.claim(run_id, "ada")) is None:
+                    time.sleep(0.02)
+                store.answer(run_id, question.k, level(2, 5), "ada")
+            if what == "an answer":
+                resting.append(len(store.episodes(run_id)))
+                if len(resting) == 1:
+                    store.answer(run_id, 1, level(-2, 5), "ada")
+                    end.start()
+                else:
+                    enough()
+
+    summary = teach(path, run_id, wait=answer)
+    end.cancel()
+    assert summary["comparisons"] == FIRST and len(resting) == 2 and resting[0] < resting[1]
+
+
 def test_the_last_answer_before_enough_is_learned_from(tmp_path, monkeypatch):
     path, waits = str(tmp_path / "runs.db"), []
     run_id = begun(path)

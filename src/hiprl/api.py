@@ -201,10 +201,10 @@ def judge_of(row: RunRow, judge: str | Judge | None = None) -> Judging:
             f"run {row.id} was begun with a function as its judge; to go on, it needs that function again. "
             f"Pass it from Python: hiprl.resume({row.id!r}, judge)."
         )
-    if judge is None and row.spec["judge"] == PEOPLE:
+    if row.spec["judge"] == PEOPLE:
         raise InputError(
-            f"run {row.id} is taught by people; to go on, it needs its page. Type `hiprl resume {row.id}`, or pass a "
-            f"judge from Python: hiprl.resume({row.id!r}, judge)."
+            f"run {row.id} is taught by people; to go on, it needs its page and their answers. "
+            f"Type `hiprl resume {row.id}`, or begin a run with a judge of yours: hiprl.learn(env, judge)."
         )
     return judge_from(row.spec["judge"] if judge is None else judge)
 

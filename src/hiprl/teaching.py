@@ -72,6 +72,8 @@ class Known:
         self._run = run
         self._lock = threading.Lock()
         self.answers = int(run.P.count)
+        self.heard = 0
+        """How often r̂ was learned anew: by a corrected answer, too."""
 
     @property
     def run(self) -> Run:
@@ -93,6 +95,7 @@ class Known:
         with self._lock:
             self._run = eqx.tree_at(lambda run: (run.P, run.reward), self._run, (P, reward))
             self.answers = int(P.count)
+            self.heard += 1
 
 
 class Asking:
@@ -277,19 +280,19 @@ def taught(
         while episodes_of(known.run) < min(SEEN, config.warm_up):
             practised(store, run_id, known, world, config, None, watch, key=key)
         with Asking(store, row, config, known, key=jr.fold_in(key, ASKING)) as asking:
-            idle, heard, waits = 0, known.answers, ""
+            idle, heard, waits = 0, 0, ""
             while True:
                 if asking.failed is not None:
                     raise asking.failed
-                idle, heard = 0 if known.answers != heard else idle, known.answers
-                to_come = 0 if store.enough(run_id) else max(0, config.comparisons - heard)
+                idle, heard, answers = 0 if known.heard != heard else idle, known.heard, known.answers
+                to_come = 0 if store.enough(run_id) else max(0, config.comparisons - answers)
                 lived_so_far, most = episodes_of(known.run), config.executed_after(config.comparisons)
                 room = lived_so_far < max(config.warm_up, most - to_come)  # an episode an answer
                 resting = idle >= PRACTICE or not room
                 if not to_come and resting and not asking.behind():
                     break
                 warm = lived_so_far >= config.warm_up
-                few = warm and to_come > 0 and heard < FIRST and not asking.exhausted
+                few = warm and to_come > 0 and answers < FIRST and not asking.exhausted
                 pauses = few or (resting and not (room and asking.exhausted))
                 asking.trainer_waits = pauses and not few
                 before, waits = waits, "" if not pauses else "the first answers" if few else "an answer"

@@ -93,6 +93,14 @@ def test_what_a_judge_has_answered_waits_for_another(client, store: Store, run_i
     assert asked("ada") == 5  # nothing else is left
 
 
+def test_who_looks_for_long_is_told_that_another_one_answered(client, store: Store, run_id: str):
+    question = asked(client, run_id, "ada")
+    store.answer(run_id, question["k"], choice(True), "bo")  # ada's turn was over
+    refused = says(client, run_id, question, choice(False))
+    assert refused.status_code == 409 and "Somebody else" in refused.json()["error"]
+    assert [row.judge for row in store.answers(run_id)] == ["bo"]
+
+
 def test_pictures_of_a_run_are_drawn_when_looked_at(store: Store, run_id: str, doors: Doors):
     draw = {"learning-curve": lambda run: f"png of {run}".encode()}
     with TestClient(app_of(store, doors, hosts=["testserver"], pictures=draw)) as client:
@@ -136,7 +144,15 @@ def test_progress_follows_the_run(client, store: Store, run_id: str):
     assert (told()["state"], told()["planned"], told()["open"], told()["sure"]) == ("waiting", 30, 3, None)
     for k, right in enumerate((1.0, 0.0, None, 1.0), 1):
         assert told()["sure"] is None  # of one or two, nothing can be said
-        facts = {"k": k, "comparisons": 1, "foreseen": right, "worth": 0.001, "searched": True, "disagrees": [1]}
+        assert not told()["enough"]  # nor by two answers, though there are three episodes
+        facts = {
+            "k": k,
+            "comparisons": max(2, k),
+            "foreseen": right,
+            "worth": 0.001,
+            "searched": True,
+            "disagrees": [1],
+        }
         store.finish_episode(run_id, k, facts, b"%d" % k)
     assert (told()["episodes"], told()["sure"], told()["enough"]) == (4, pytest.approx(2 / 3), True)
     store.finish(run_id, {}, b"")
@@ -322,6 +338,7 @@ def test_who_has_not_come_in_sees_nothing(outside, run_id: str, path: str):
 def test_a_token_is_good_once_and_a_password_always(outside, doors: Doors):
     token = doors.token
     assert outside.get(f"/enter?token={token}&next=/runs/x").headers["location"] == "/runs/x"
+    assert outside.get(f"/enter?token={token}&next=/runs/x").headers["location"] == "/runs/x"  # who is in stays in
     outside.cookies.clear()
     assert outside.get(f"/enter?token={token}").status_code == 403
     assert outside.post("/enter", data={"token": "wrong"}).status_code == 403

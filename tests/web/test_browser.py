@@ -254,7 +254,14 @@ def test_each_judge_says_a_name_though_the_goal_is_set(served: Served):
     other.keyboard.press("Escape")
     other.wait_for_selector("#setup:not([open])", state="attached")
     served.press(other, "1")
-    assert [row.judge for row in served.store.answers(served.run_id)] == ["bo", "bo", "me"]
+    expect(other.locator("#who-name")).to_have_text("me")
+    third = served.tab("/teach", judge=None)
+    third.wait_for_selector("#setup[open]")
+    third.click("#setup-save")
+    served.press(third, "1")
+    judges = [row.judge for row in served.store.answers(served.run_id)]
+    assert judges[:2] == ["bo", "bo"] and judges[2] != judges[3]  # two who say no name are two
+    assert all(re.fullmatch("me-[0-9a-z]{1,4}", judge) for judge in judges[2:])
     assert served.store.goal(served.run_id) == "go along"
 
 
@@ -365,15 +372,17 @@ def test_review_takes_the_same_keys_and_says_what_is_known(served: Served):
     page.keyboard.press("u")
     page.wait_for_function(changed, arg="when it goes on.")
     with served.store.lease(served.run_id):
-        page.keyboard.press("ArrowRight")
+        for key in ("ArrowDown", "ArrowRight"):  # by which one reads on
+            page.keyboard.press(key)
+        page.keyboard.press("4")
         page.wait_for_function(changed, arg="learns from this now.")
     page.keyboard.press(" ")  # the list has not kept it
     expect(page.locator(".hp-play")).to_have_attribute("aria-label", "Play")
     served.store.finish(served.run_id, {}, b"")
-    page.keyboard.press("ArrowDown")
+    page.keyboard.press("e")
     page.wait_for_function(changed, arg="changes nothing.")
     said = [row.answer for row in served.store.answers(served.run_id)]
-    assert said == [choice(True), CANNOT_TELL, choice(False), EQUALLY_GOOD]
+    assert said == [choice(True), CANNOT_TELL, level(-1, 5), EQUALLY_GOOD]
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 // Talking with the server: lost connections are tried again by themselves, refusals are told in words.
 
-import { find, pause } from "./dom.js";
+import { find, pause, write } from "./dom.js";
 
 const WAITS = [500, 1000, 2000, 4000]; // milliseconds between attempts
 
@@ -12,22 +12,24 @@ export class Refused extends Error {
   }
 }
 
-let lost = 0; // requests that wait for the connection
+const USUAL = "Connection lost, trying again";
+let lost = 0; // requests that wait for an answer
 
-function losing(by) {
+function losing(by, why) {
   lost += by;
   const note = find("lost");
   if (note) note.hidden = lost <= 0;
+  write(note, why);
 }
 
-async function words(response) {
+async function words(response, otherwise) {
   try {
     const body = await response.json();
     if (body && typeof body.error === "string") return body.error;
   } catch {
     // no words came with it
   }
-  return response.status === 404 ? "This is not there (any more)." : `The server said no (${response.status}).`;
+  return otherwise;
 }
 
 async function attempt(path, options) {
@@ -35,18 +37,22 @@ async function attempt(path, options) {
   try {
     response = await fetch(path, { ...options, credentials: "same-origin", cache: "no-store" });
   } catch {
-    return null; // no connection
+    return {}; // no connection
   }
-  if ([502, 503, 504].includes(response.status)) return null;
+  if (response.status === 503) return { why: await words(response, USUAL) }; // as of a disk that is full
+  if ([502, 504].includes(response.status)) return {};
   if (response.status === 401) {
     location.assign(`/enter?next=${encodeURIComponent(location.pathname)}`);
     return new Promise(() => {});
   }
-  if (!response.ok) throw new Refused(await words(response), response.status);
+  if (!response.ok) {
+    const no = response.status === 404 ? "This is not there (any more)." : `The server said no (${response.status}).`;
+    throw new Refused(await words(response, no), response.status);
+  }
   try {
     return { body: await response.json() };
   } catch {
-    return null; // cut off in the middle
+    return {}; // cut off in the middle
   }
 }
 
@@ -55,15 +61,13 @@ async function call(path, options) {
   try {
     for (let i = 0; ; i++) {
       const got = await attempt(path, options);
-      if (got) return got.body;
-      if (!counted) {
-        counted = true;
-        losing(1);
-      }
+      if (got.body) return got.body;
+      losing(counted ? 0 : 1, got.why ?? USUAL);
+      counted = true;
       await pause(WAITS[Math.min(i, WAITS.length - 1)]);
     }
   } finally {
-    if (counted) losing(-1);
+    if (counted) losing(-1, USUAL);
   }
 }
 

@@ -26,6 +26,13 @@ function fill(element, attributes, children) {
   return element;
 }
 
+/** Puts others in the place of what is in an element; the one with the same `data-key` takes over the focus. */
+export function renew(element, ...children) {
+  const key = element.contains(document.activeElement) ? document.activeElement.dataset.key : undefined;
+  element.replaceChildren(...children);
+  if (key !== undefined) [...element.querySelectorAll("[data-key]")].find((one) => one.dataset.key === key)?.focus();
+}
+
 export function find(id) {
   return document.getElementById(id);
 }

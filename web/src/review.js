@@ -1,11 +1,11 @@
 // Past answers: see their clips again, change one.
 
 import { api, Refused } from "./api.js";
-import { announce, find, make, write } from "./dom.js";
+import { announce, find, make, renew, write } from "./dom.js";
 import { early, film } from "./film.js";
 import { judge } from "./judge.js";
 import { level, Strip } from "./strip.js";
-import { many, names, said, whenStacked } from "./words.js";
+import { many, names, said, taken, whenStacked } from "./words.js";
 
 export async function review(run) {
   early();
@@ -19,8 +19,8 @@ export async function review(run) {
     all.sort((a, b) => order(a) - order(b) || String(b.at).localeCompare(String(a.at)) || b.k - a.k);
     write(find("summary"), `${all.length ? many(all.length, "answer") : "No answers yet"}. ${verdicts()}`.trim());
     const several = new Set(all.map((a) => a.judge)).size > 1;
-    find("list").replaceChildren(...all.map((a) => make("li", {}, make("button.past", {
-      type: "button", "aria-current": open && same(open, a) ? "true" : null, onclick: () => look(a),
+    renew(find("list"), ...all.map((a) => make("li", {}, make("button.past", {
+      type: "button", "data-key": `${a.k} ${a.judge}`, "aria-current": open && same(open, a) ? "true" : null, onclick: () => look(a),
     },
     make("span.past-number", {}, `${a.k}`),
     make("span.past-words", {}, said(a.answer, a.clips.length), several ? make("span.past-judge", {}, a.judge) : null),
@@ -37,12 +37,6 @@ export async function review(run) {
     const rest = unknown ? ` It has not looked at ${unknown === 1 ? "one" : unknown} yet.` : "";
     if (differ) return `It would answer ${differ} of them differently: look at ${differ === 1 ? "that" : "those"} first.${rest}`;
     return unknown ? `None of ${known.length} that it would answer differently.${rest}` : "None that it would answer differently.";
-  }
-
-  /** What comes of a changed answer. */
-  function taken({ state, trained }) {
-    if (state === "finished") return "It has finished learning: this is kept, and changes nothing.";
-    return trained ? "It learns from this now." : "It learns from this when it goes on.";
   }
 
   const same = (a, b) => a.k === b.k && a.judge === b.judge;
@@ -117,15 +111,11 @@ export async function review(run) {
     if (!(error instanceof Refused)) console.error(error);
   }
 
-  /** The answer that belongs to a key, as where one teaches. */
+  /** The answer that belongs to a key, as where one teaches; but arrows, by which a list is read, change nothing. */
   function keyed(key, count) {
     if (key === "u" || key === "?") return { form: "unsure" };
     if (/^[1-5]$/.test(key) && count <= 2) return level(Number(key), count);
-    if (count !== 2) return null;
-    return {
-      arrowleft: { form: "choice", value: 1 }, arrowright: { form: "choice", value: -1 },
-      arrowdown: { form: "equal" }, e: { form: "equal" },
-    }[key] ?? null;
+    return key === "e" && count === 2 ? { form: "equal" } : null;
   }
 
   for (const id of ["list", "change"]) {

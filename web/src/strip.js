@@ -1,6 +1,6 @@
 // The row of answers under the clips: five steps for a pair, five marks for one clip, an order for more.
 
-import { make } from "./dom.js";
+import { make, renew } from "./dom.js";
 import { names, RATINGS } from "./words.js";
 
 /** The answer that belongs to step 1 to 5, as shown. */
@@ -46,13 +46,13 @@ export class Strip {
     const buttons = labels.map(([label, word, side], i) => make(
       "button.step", {
         type: "button", "aria-label": label, "aria-pressed": mark === null ? null : mark === i + 1,
-        "data-step": i + 1, "data-side": count === 2 ? Math.sign(2 - i) : 0, "aria-keyshortcuts": i + 1,
+        "data-step": i + 1, "data-key": i + 1, "data-side": count === 2 ? Math.sign(2 - i) : 0, "aria-keyshortcuts": i + 1,
         onclick: (event) => this.onAnswer(level(i + 1, count), event),
         onpointerenter: () => this.onHover(count === 2 ? Math.sign(2 - i) : 0),
         onpointerleave: () => this.onHover(0),
       },
       make("span.step-side", {}, side), make("span.step-word", {}, word), make("kbd", { "aria-hidden": "true" }, i + 1)));
-    this.root.replaceChildren(make("div.steps", { "data-count": count }, buttons));
+    renew(this.root, make("div.steps", { "data-count": count }, buttons));
     return undefined;
   }
 

@@ -3,9 +3,9 @@
 import { api, Refused } from "./api.js";
 import { announce, find, write } from "./dom.js";
 import { early, film } from "./film.js";
-import { call, judge, named } from "./judge.js";
+import { call, judge, myself, named } from "./judge.js";
 import { level, Strip } from "./strip.js";
-import { foreseen, helping, many, meanwhile, names, NOTHING, said, whenStacked } from "./words.js";
+import { foreseen, helping, many, meanwhile, names, NOTHING, said, taken, whenStacked } from "./words.js";
 
 const POLL = 1000; // milliseconds between looks for a question
 const LINGER = 600; // the old pair stays so long before the page says that it waits
@@ -129,10 +129,17 @@ class Teaching {
     this.looked.add(question.k);
     this.again = this.second = true;
     this.show(question);
-    const words = `You said: ${said(question.answer, question.clips.length)}. It would say otherwise: look again, while it tries something new?`;
+    announce(this.#said());
+  }
+
+  /** Tells what was said of what is shown, as it is shown now; gives the words. */
+  #said() {
+    const { answer, clips } = this.question;
+    const words = `You said: ${said(this.shown(answer), clips.length)}. `
+      + (this.second ? "It would say otherwise: look again, while it tries something new?" : "What is right?");
     write(find("again-text"), words);
     find("again").hidden = false;
-    announce(words);
+    return words;
   }
 
   #wake = null;
@@ -149,9 +156,9 @@ class Teaching {
     });
   }
 
-  show(question, { keepFlip = false } = {}) {
+  show(question) {
     this.question = question;
-    if (!keepFlip) this.flipped = false;
+    this.flipped = false;
     this.mode("asking");
     const main = find("teach");
     main.dataset.question = String(question.k);
@@ -188,12 +195,13 @@ class Teaching {
     this.busy = this.strip.busy = true;
     this.strip.mark(answer);
     this.#dim(true);
-    const words = said(answer, clips.length);
+    let words = `You said: ${said(answer, clips.length)}`;
     try {
       const { progress } = await this.api.answer({
         k, judge: judge(), swapped: clips.length === 2 ? Boolean(swapped) !== this.flipped : Boolean(swapped), answer,
       });
       this.progress(progress);
+      if (progress.state.startsWith("finish")) words += `. ${taken(progress)}`;
     } catch (error) {
       this.busy = this.strip.busy = false;
       this.#dim(false);
@@ -203,7 +211,7 @@ class Teaching {
     }
     this.answered = k;
     this.question = null;
-    this.told(`You said: ${words}`, true);
+    this.told(words, true);
     await this.next();
   }
 
@@ -225,7 +233,7 @@ class Teaching {
   }
 
   async undo() {
-    if (this.busy || this.again) return;
+    if (this.busy || (this.again && !this.second)) return;
     let question;
     try {
       ({ question } = await this.api.last(judge()));
@@ -243,9 +251,7 @@ class Teaching {
     this.answered = null;
     this.told("", false);
     this.show(question);
-    write(find("again-text"), `You said: ${said(question.answer, question.clips.length)}. What is right?`);
-    find("again").hidden = false;
-    announce(`Changing your last answer. You said: ${said(question.answer, question.clips.length)}`);
+    announce(`Changing your last answer. ${this.#said()}`);
   }
 
   back() {
@@ -260,6 +266,7 @@ class Teaching {
     this.flipped = !this.flipped;
     this.player.load({ clips: this.clips(), titles: this.titles(), keepTime: true });
     this.strip.show(2, this.shown(this.question.answer));
+    if (this.again) this.#said();
     announce("Sides swapped");
   }
 
@@ -282,6 +289,7 @@ class Teaching {
     const [title, text] = meanwhile(progress, this.run);
     const fresh = find("teach").dataset.mode === "asking" || find("teach").dataset.mode === "loading";
     this.mode(progress.state === "finished" ? "finished" : "waiting");
+    this.question = null;
     this.busy = this.strip.busy = false;
     this.#dim(false);
     const other = find("meanwhile-title").textContent !== title;
@@ -423,14 +431,14 @@ class Teaching {
   }
 
   #who() {
-    write(find("who-name"), judge());
+    write(find("who-name"), myself());
   }
 
   /** Asks what it should learn, and who is asking. */
   setup(first = false) {
     const dialog = find("setup");
     find("setup-goal").value = this.goal;
-    find("setup-judge").value = named() ? judge() : "";
+    find("setup-judge").value = named() && myself() !== "me" ? judge() : "";
     find("setup-trouble").hidden = true;
     find("setup-close").hidden = first;
     if (!dialog.open) dialog.showModal();
@@ -491,6 +499,7 @@ class Teaching {
       if (!this.question) return;
       this.player.name(this.titles());
       this.strip.show(this.question.clips.length, this.shown(this.question.answer));
+      if (this.again) this.#said();
     });
     document.addEventListener("keydown", (event) => this.key(event));
   }
@@ -509,13 +518,15 @@ class Teaching {
     const tag = inHelp || !target.closest("dialog") ? target.tagName : ""; // a closed one has the focus for a frame
     if (tag === "TEXTAREA" || tag === "SELECT" || (tag === "INPUT" && target.type !== "range")) return;
     if (tag === "INPUT" && /^(Arrow|Home|End|Page)/.test(key)) return;
-    if ((tag === "BUTTON" || tag === "A" || tag === "SUMMARY") && (key === " " || key === "Enter")) return;
+    if ((tag === "BUTTON" || tag === "A" || tag === "SUMMARY") && (key === " " || key === "Enter")) {
+      if (event.repeat) event.preventDefault(); // a key that is held answers once
+      return;
+    }
     const once = (each) => (event.repeat ? null : each());
     const count = this.question?.clips.length ?? 0;
     const act = {
       ArrowLeft: () => count === 2 && once(() => this.answer({ form: "choice", value: 1 })),
       ArrowRight: () => count === 2 && once(() => this.answer({ form: "choice", value: -1 })),
-      ArrowDown: () => count === 2 && once(() => this.answer({ form: "equal" })),
       e: () => count === 2 && once(() => this.answer({ form: "equal" })),
       u: () => once(() => this.answer({ form: "unsure" })),
       "?": () => once(() => this.answer({ form: "unsure" })),

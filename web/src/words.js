@@ -36,6 +36,13 @@ export function said(answer, count = 2) {
   }
 }
 
+/** What comes of an answer that is changed, or that comes late. */
+export function taken({ state, trained }) {
+  if (state === "finished") return "It has finished learning: this is kept, and changes nothing.";
+  if (state === "finishing") return "It is finishing: this is kept, and may come too late to change anything.";
+  return trained ? "It learns from this now." : "It learns from this when it goes on.";
+}
+
 /** Where what it does now would be shown. */
 export const NOTHING = "It has tried nothing yet by what you taught it.";
 

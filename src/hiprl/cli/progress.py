@@ -9,11 +9,11 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from hiprl.data.facts import enough
+
 Facts = dict[str, Any]
 
 RECENT = 5  # episodes, by which the time left is judged
-LITTLE = 0.01  # share of what was learned: an answer worth less is hardly worth giving
-IN_A_ROW = 3  # such answers, until that is said
 ENOUGH = (
     "Answers are hardly worth giving any more: what is wanted is known so well that the next one is expected to change "
     "the best by less than 1 %. The run goes on, as more episodes still make it better at it."
@@ -28,8 +28,7 @@ class Tally:
         self.by_people = by_people
         self.done = 0
         self._seconds: list[float] = []
-        self._last: Facts = {}
-        self._worth: list[float] = []
+        self._episodes: list[Facts] = []
         for facts in past:
             self.add(facts)
         self._seconds.clear()  # another machine, another hour: they say nothing of this one
@@ -37,11 +36,13 @@ class Tally:
     def add(self, facts: Facts) -> None:
         """One more episode is finished."""
         self.done = facts["comparisons"]
-        self._last = facts
-        if facts.get("worth") is not None:
-            self._worth.append(facts["worth"])
+        self._episodes.append(facts)
         if facts["searched"]:
             self._seconds.append(sum(facts["seconds"].values()))
+
+    @property
+    def _last(self) -> Facts:
+        return self._episodes[-1] if self._episodes else {}
 
     @property
     def returns(self) -> str:
@@ -54,8 +55,8 @@ class Tally:
 
     @property
     def enough(self) -> bool:
-        """Whether the last answers were hardly worth giving: none was expected to change what is wanted by much."""
-        return len(self._worth) >= IN_A_ROW and max(self._worth[-IN_A_ROW:]) < LITTLE
+        """Whether the last answers were hardly worth giving."""
+        return enough(self._episodes)
 
     @property
     def left(self) -> str:
@@ -150,8 +151,8 @@ class Live:
         """Tells of an episode."""
         tally = self._tally
         tally.add(facts)
-        enough = "answers are hardly worth giving any more" if tally.enough else ""
-        words = "; ".join(part for part in (tally.left, tally.returns, enough) if part)
+        hardly = "answers are hardly worth giving any more" if tally.enough else ""
+        words = "; ".join(part for part in (tally.left, tally.returns, hardly) if part)
         self._bar.update(self._task, completed=tally.done, phase=tally.phase, words=words)
 
 

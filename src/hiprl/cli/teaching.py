@@ -143,9 +143,10 @@ def follow(store: Store, run_id: str, world: World, command: Teach | Resume) -> 
     tell(console, outcome(summary))
     tell(console, f"Next: {typed('show', run_id, store, command)}")
     if command.port:
-        with contextlib.suppress(KeyboardInterrupt, EOFError):
+        with contextlib.suppress(KeyboardInterrupt):
             if sys.stdin.isatty():
-                input("The page stays open; press Enter to end. ")
+                say("The page stays open; press Enter to end.")  # stdout is for the summary
+                sys.stdin.readline()
             else:
                 time.sleep(HEARD)
     return summary

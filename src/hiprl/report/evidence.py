@@ -51,7 +51,7 @@ def evidence_of(store: Store, row: RunRow) -> tuple[Trajectories, Preferences]:
 def given_in(store: Store, row: RunRow, asked: Sequence[QuestionRow], *, capacity: int) -> Preferences:
     """The newest answers to these questions, in a P of this room."""
     by = {answer.k: answer.judge for answer in store.answers(row.id)}
-    judges = {name: i for i, name in enumerate(judges_of(store, row))}
+    judges = {name: i for i, name in enumerate(dict.fromkeys(by.values()))}  # of one moment: more may come
     config = from_plain(row.spec["config"])
     given = [
         Given(

@@ -125,6 +125,9 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
         if type(k) is not int or not 0 <= k < 1 << 31 or not isinstance(swapped, bool) or not isinstance(said, dict):
             raise HTTPException(400, "An answer has k, judge, swapped and answer.")
         given = turned(Answer.taken(said), swapped)
+        judges = [row.judge for row in store.answers(run_id) if row.k == k]
+        if judges and judge not in judges:  # who looks for long may find that another one was asked meanwhile
+            raise HTTPException(409, "Somebody else has answered this one meanwhile; it is theirs.")
         new = store.answer(run_id, k, given, judge, swapped=swapped)
         return {"new": new, "progress": shown.lately(run_id, seconds=0.0)}
 
@@ -180,6 +183,8 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
         given, to = told.get("token", ""), there(told.get("next", "/"))
         if 0 < len(given) <= 200 and doors.enters(given):
             return doors.let_in(RedirectResponse(to, 303))
+        if doors.knows(request):
+            return RedirectResponse(to, 303)
         wrong = bool(given) or request.method == "POST"
         shown_there = {"next": to, "error": "That does not open this page; a token is good once." if wrong else ""}
         return templates.TemplateResponse(request, "enter.html", shown_there, status_code=403 if wrong else 200)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hiprl.data.answer import Answer
+from hiprl.data.facts import enough
 from hiprl.data.film import Film
 from hiprl.store.rows import PEOPLE, AnswerRow, ClipRow, QuestionRow, RunRow
 from hiprl.store.store import Store
@@ -20,8 +21,6 @@ from hiprl.store.store import Store
 Plain = dict[str, Any]
 
 RECENT = 10  # answers by which it is told how many are foreseen
-LITTLE = 0.01  # share of the best: an answer worth less is hardly worth giving
-IN_A_ROW = 3
 EARLY = 3  # episodes after whose answers it is told how many are foreseen
 NOW = 100  # steps of the clip that shows what it does now
 TOLD = ("k", "comparisons", "true_return", "return_by_reward", "worth", "foreseen", "coverage", "length", "searched")
@@ -97,7 +96,7 @@ class Shown:
             "episodes": len(facts),
             "sure": sum(foreseen) / len(foreseen) if len(foreseen) >= EARLY else None,
             "worth": worth[-1] if worth else None,
-            "enough": len(worth) >= IN_A_ROW and max(worth[-IN_A_ROW:]) < LITTLE,
+            "enough": enough(facts),
             "state": "finished" if done else alone,
             "goal": self.store.goal(run_id),
         }
