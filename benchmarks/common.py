@@ -91,9 +91,10 @@ def timed(f: Callable[[], Any], *, repeats: int) -> Timed:
 def machine() -> dict[str, Any]:
     """The machine, the versions and the command, for the record."""
     info = Path("/proc/cpuinfo")
-    names = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     facts: dict[str, Any] = {
-        "cpu": names[0] if info.exists() and names else platform.processor(),
+        "cpu": names[0] if names else platform.processor(),
         "cores": os.cpu_count(),
         "used_cores": len(cores()),
         "load": list(os.getloadavg()),

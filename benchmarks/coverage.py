@@ -50,7 +50,7 @@ def coverage(form: str, answers: int, room: int, *, truth: str, kappa: float, se
     import numpy as np
 
     from hiprl.data.preference import Given, Preferences
-    from hiprl.models.answers import estimate_from_answers
+    from hiprl.models.estimate import estimate_reward
     from hiprl.models.reward import AdditiveConfig
 
     N, H = 24, 200
@@ -81,7 +81,7 @@ def coverage(form: str, answers: int, room: int, *, truth: str, kappa: float, se
             )
         )
     P = Preferences.of(given, room, m=max(2, CLIPS.get(form, 2)))
-    reward = estimate_from_answers(P, T, AdditiveConfig().kernels)
+    reward = estimate_reward(P, T, None, AdditiveConfig())
     i, t = rng.integers(N, size=(PAIRS, 2)), rng.integers(H - CLIP + 1, size=(PAIRS, 2))
     true = of(C, i, t) / whole
     true = true[:, 0] - true[:, 1]

@@ -6,7 +6,7 @@ picks what is expected to tell most, `uniform` the newest trajectory and any old
 the scripted `choice`, by the environment's own reward.
 
 The table has the share of 2000 random pairs of clips that r̂ puts in the right order, over the trajectories of the whole
-run, as mean over seeds; and the mean over seeds of the difference of the two with a 95 % bootstrap interval.
+run, as mean over seeds; and the interquartile mean of the seeds' differences with its 95 % bootstrap interval.
 """
 
 from __future__ import annotations

@@ -100,14 +100,15 @@ def gradient_work(config: GradientConfig, made: Setting) -> Work:
     last = network(M, config.trial_starts, dynamics) + acts
     fit = times(config.value_updates, network(1, n * config.steps // config.value_updates, value, weights=True))
     fit += network(1, n * config.steps, value)  # its mean error
+    tried = min(config.trial_steps, made.world.H)
     settling = times(config.steps, plain) + network(1, n * config.steps, value) + fit
     return (
         times(config.steps, step)
         + network(1, n * config.steps, value, inputs=True)
         + fit
         + times(config.settling / (config.chunks * config.updates), settling)
-        + times(config.trial_steps / config.updates, look)
-        + times(config.trial_steps / (config.chunks * config.updates), last)
+        + times(tried / config.updates, look)
+        + times(tried / (config.chunks * config.updates), last)
     )
 
 

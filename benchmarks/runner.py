@@ -83,7 +83,7 @@ def run_all(jobs: Sequence[Job], *, results: Path, workers: int) -> list[tuple[J
                     failed.append(job)
                     progress(f"failed: {job.name}; see {log_of(job, results)}")
                     continue
-                outcome = json.loads(process.stdout.read().splitlines()[-1])
+                outcome = json.loads(outcome_of(job, results).read_text())
                 done[job.name] = outcome
                 write(results, job, outcome)
                 said = f"{outcome['return_mean']:.1f} ± {outcome['return_std']:.1f}"
@@ -124,9 +124,8 @@ def begin(job: Job, core: int, results: Path) -> subprocess.Popen:
     """Starts a run in a process of its own."""
     folder(results).mkdir(parents=True, exist_ok=True)
     order = json.dumps({"job": asdict(job), "core": core, "store": str(folder(results) / f"{job.name}.db")})
-    with log_of(job, results).open("a") as log:
-        command = [sys.executable, "-m", "benchmarks.runner", order]
-        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
+    with log_of(job, results).open("a") as log, outcome_of(job, results).open("w") as outcome:
+        return subprocess.Popen([sys.executable, "-m", "benchmarks.runner", order], stdout=outcome, stderr=log)
 
 
 def folder(results: Path) -> Path:
@@ -137,6 +136,11 @@ def folder(results: Path) -> Path:
 def log_of(job: Job, results: Path) -> Path:
     """What a run says."""
     return folder(results) / f"{job.name}.log"
+
+
+def outcome_of(job: Job, results: Path) -> Path:
+    """What a run came to; a file, as a pipe would hold so much of it and no more."""
+    return folder(results) / f"{job.name}.json"
 
 
 # In the process of one run

@@ -43,7 +43,7 @@ def upright(poses: np.ndarray) -> float:
 
 
 def along(direction: float) -> Callable[[np.ndarray], float]:
-    """How fast the body goes along x, in metres a second at 20 frames a second, while it is not on its back."""
+    """How fast the body goes along x, in metres a second at 20 frames a second, whichever side of it is up."""
     return lambda poses: direction * float(poses[-1, 1, 0] - poses[0, 1, 0]) / (max(len(poses) - 1, 1) / 20)
 
 

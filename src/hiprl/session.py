@@ -278,7 +278,7 @@ def facts_of(run: Run, question: Question, answer: Answer, after: Run, config: C
         "foreseen": foreseen(answer, float(predicted.mean)),
         "g_predicted": float(predicted.mean),
         "sigma_g": float(predicted.sigma),
-        "alpha": float(after.calibration.alpha),
+        "alpha": float(after.calibration.alpha) if int(after.calibration.count) else None,
         "worth": worth_of(after, config),
     }
     return finite_or_none(facts)

@@ -334,7 +334,7 @@ def practised(
     facts["seconds"] = dict(zip(("propose", "learn"), np.diff(times).tolist(), strict=True)) | {"judge": 0.0}
     if asking is not None:
         told, asking.foresight = asking.foresight, []
-        facts |= {"foreseen": float(np.mean(told)) if told else None}
+        facts |= {"foreseen": float(np.mean(told)) if told else None, "told": len(told)}
         facts |= {"weights": asking.weights, **asking.verdicts, **asking.opinions}
     facts = finite_or_none(facts)
     taus = [

@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -38,6 +39,17 @@ def test_a_scaler_sees_the_masked_rows_only(seed):
     units = Scaler.of(jnp.asarray(x, jnp.float32), jnp.asarray(mask))
     np.testing.assert_allclose(units.mean, x[mask].mean(0), rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(units.std, x[mask].std(0), rtol=1e-4, atol=1e-5)
+
+
+def test_a_step_of_an_entry_that_stands_still_is_small():
+    rng = np.random.default_rng(0)
+    goals, taus = [-0.3, 0.1, 0.5], []
+    for goal in goals:
+        tau = trajectory(rng, length=5)
+        taus.append(eqx.tree_at(lambda tau: tau.states, tau, tau.states.at[:, 1].set(goal)))
+    units = step_scaler(set_of(taus))
+    assert float(units.std[1]) == pytest.approx(0.01 * np.std(goals), rel=1e-4)
+    assert (np.delete(np.asarray(units.std), 1) > 0.1).all()
 
 
 def test_an_entry_that_never_varies_keeps_its_unit():

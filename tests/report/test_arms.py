@@ -11,6 +11,7 @@ from hiprl.control.ppo import PPOConfig
 from hiprl.report.arm_figure import comparison
 from hiprl.report.arms import arms_of, compared
 from hiprl.report.record import Record, record
+from hiprl.store.rows import PEOPLE
 from hiprl.store.store import Store
 from tests.report.made_up import add_run
 
@@ -33,6 +34,35 @@ def test_runs_that_differ_in_their_seed_alone_are_one_arm(store: Store) -> None:
     arms = arms_of([*all_of(store), *all_of(store)])  # named twice, counted once
     assert [arm.name for arm in arms] == ["default", "optimism greedy", "judge noisy:3"]
     assert [[run.row.seed for run in arm.runs] for arm in arms] == [[5, 7, 11], [5, 7, 11], [5]]
+
+
+def test_one_seed_of_a_script_counts_once_and_each_run_of_people(store: Store) -> None:
+    first, second = (add_run(store, seed=5) for _ in range(2))
+    unfinished = add_run(store, seed=5, finished=False)
+    for _ in range(2):
+        add_run(store, seed=5, judge=PEOPLE)
+    scripted, people = arms_of(all_of(store))
+    assert [run.id for run in scripted.runs] == [second] and len(people.runs) == 2
+    assert first != second != unfinished
+
+
+def test_what_was_to_be_learned_sets_arms_apart(store: Store) -> None:
+    for goal in ("run forwards", "run backwards", "run forwards"):
+        store.set_goal(add_run(store, judge=PEOPLE), goal)
+    arms = arms_of(all_of(store))
+    assert [(arm.name, len(arm.runs)) for arm in arms] == [('"run forwards"', 2), ('"run backwards"', 1)]
+
+
+def test_a_curve_is_over_runs_that_had_as_many_answers(store: Store) -> None:
+    for seed, (answers, best) in enumerate([((4, 10, 20), (1, 2, 3)), ((4, 4, 6, 20), (10, 20, 30, 40))]):
+        run_id = add_run(store, seed=seed, judge=PEOPLE, episodes=0)
+        for k, (comparisons, reached) in enumerate(zip(answers, best, strict=True), 1):
+            facts = {"k": k, "comparisons": comparisons, "best_return": float(reached), "searched": True}
+            store.finish_episode(run_id, k, facts, b"%d" % k)
+    (arm,) = arms_of(all_of(store))
+    k, points = arm.curve()
+    assert k.tolist() == [4, 6, 10, 20]
+    assert [point.mean for point in points] == [(1 + 20) / 2, (1 + 30) / 2, (2 + 30) / 2, (3 + 40) / 2]
 
 
 def test_names_say_what_differs(store: Store) -> None:

@@ -57,6 +57,14 @@ def test_sides_count_from_the_first_policy_on_and_not_where_none_was_said(store:
     assert summary(record(store, store.run(run_id)))["right_signs"] == pytest.approx(2 / 3)
 
 
+def test_an_episode_with_many_answers_counts_for_as_many(store: Store) -> None:
+    run_id = store.add_run("Hopper-v5", 0, spec(), VERSIONS)
+    for k, (foreseen, told) in enumerate([(0.5, 10), (1.0, 1)], 1):
+        facts = {"k": k, "foreseen": foreseen, "told": told, "searched": True}
+        store.finish_episode(run_id, k, facts, b"%d" % k)
+    assert summary(record(store, store.run(run_id)))["right_signs"] == pytest.approx(6 / 11)
+
+
 def test_recent_is_the_median_of_the_newest_known() -> None:
     assert recent(np.array([100.0] * 5 + [1.0, np.nan] * 10)) == 1.0
     assert recent(np.array([np.nan])) is None

@@ -1,4 +1,7 @@
+from types import SimpleNamespace
+
 import gymnasium as gym
+import mujoco
 import pytest
 
 from hiprl.world.build import world_from
@@ -48,3 +51,15 @@ def test_an_observation_of_another_kind_has_numbers():
     assert names_of(env, 8, 3).action == numbered(8, 3).action
     assert names_of(env, 8, 2).state[4] == "joint0 spin"  # all positions and all velocities
     env.close()
+
+
+TWO = """<mujoco><worldbody><body name="b"><joint name="hip" type="hinge"/><geom size=".1"/></body></worldbody>
+<tendon><fixed name="t"><joint joint="hip" coef="1"/></fixed></tendon>
+<actuator><motor joint="hip"/><motor joint="hip"/><motor tendon="t"/></actuator></mujoco>"""
+
+
+def test_only_what_moves_a_joint_is_named_by_it():
+    model = mujoco.MjModel.from_xml_string(TWO)
+    assert names_of(SimpleNamespace(unwrapped=SimpleNamespace(model=model)), 2, 3).action == (
+        *("hip effort", "hip effort", "a[2]"),
+    )

@@ -52,6 +52,7 @@ ACTIVATIONS: dict[Activation, Callable[[Array], Array]] = {
 
 FEW = 8  # entries of what a network is asked about, up to which 64 units a layer say all there is to say
 CONSTANT = 1e-5  # a spread below this share of the values is what rounding leaves of a constant
+STILL = 1e-2  # of the spread of states: the unit of a step that is always 0
 
 
 class Scaler(eqx.Module):
@@ -83,9 +84,15 @@ class Scaler(eqx.Module):
 
 
 def step_scaler(T: Trajectories) -> Scaler:
-    """Mean and spread of s′ - s over T."""
+    """Mean and spread of s′ - s over T.
+
+    An entry that stands still in every episode, as a goal does that is drawn anew for each, has a unit far below what
+    it differs by: in its own, which would be 1, the noise of a network would carry it away.
+    """
     rows = T.transitions()
-    return Scaler.of(rows.s_next - rows.s, rows.mask)
+    found = Scaler.of(rows.s_next - rows.s, rows.mask)
+    still = ~jnp.any((rows.s_next != rows.s) & rows.mask[:, None], axis=0)
+    return Scaler(found.mean, jnp.where(still, STILL * state_scaler(T).std, found.std))
 
 
 def state_action_scaler(T: Trajectories) -> Scaler:

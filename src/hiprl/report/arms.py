@@ -12,6 +12,7 @@ import numpy as np
 from hiprl.evaluate import Interval, interval
 from hiprl.report.record import Facts, Record
 from hiprl.report.setting import setting
+from hiprl.store.rows import CUSTOM, PEOPLE
 
 NEAR = 0.9  # of the way from random actions to the best arm counts as there
 CURVE_DRAWS = 500  # of the bootstrap, at each point of a curve
@@ -51,11 +52,12 @@ class Arm:
         Over the finished runs, or over all if none is; to the end of the shortest.
         """
         runs = self.finished or self.runs
-        shortest = min(runs, key=lambda run: len(run.episodes))
-        n = len(shortest.episodes)
-        best = np.stack([run.best[:n] for run in runs])
+        end = min(run.k[-1] if len(run.k) else 0.0 for run in runs)
+        k = np.unique(np.concatenate([run.k for run in runs]))
+        k = k[k <= end]
+        best = np.stack([run.best_after(k) for run in runs])
         known = np.isfinite(best).all(axis=0)
-        return shortest.k[known], [interval(column, draws=CURVE_DRAWS) for column in best.T[known]]
+        return k[known], [interval(column, draws=CURVE_DRAWS) for column in best.T[known]]
 
 
 def returned(run: Record) -> float | None:
@@ -64,12 +66,19 @@ def returned(run: Record) -> float | None:
 
 
 def arms_of(records: Iterable[Record]) -> list[Arm]:
-    """The arms by environment, in the order in which their first runs were begun. A run named twice counts once."""
+    """The arms by environment, in the order in which their first runs were begun.
+
+    A run named twice counts once, and so do runs of the same seed that nobody but a script has judged.
+    """
     groups: dict[str, list[Record]] = {}
     once = {(record.store, record.id): record for record in records}
     for record in sorted(once.values(), key=lambda record: (record.row.created_at, record.id)):
-        same = json.dumps([record.row.env, record.row.spec], sort_keys=True)
+        same = json.dumps([record.row.env, record.row.spec, record.goal], sort_keys=True)
         groups.setdefault(same, []).append(record)
+    for same, runs in groups.items():
+        if runs[0].row.spec["judge"] not in (PEOPLE, CUSTOM):
+            by_seed = {run.row.seed: run for run in sorted(runs, key=lambda run: run.final is not None)}
+            groups[same] = [run for run in runs if by_seed[run.row.seed] is run]
     arms: list[Arm] = []
     for env in dict.fromkeys(runs[0].row.env for runs in groups.values()):
         here = [runs for runs in groups.values() if runs[0].row.env == env]
@@ -88,6 +97,8 @@ def names_of(firsts: Sequence[Record]) -> list[str]:
         apart = [f"{field} {value}" for field, value in one.changes.items() if (field, value) not in shared]
         if len({other.planned for other in firsts}) > 1:
             apart.append(f"{record.planned} comparisons")
+        if record.goal and len({other.goal for other in firsts}) > 1:
+            apart.append(f'"{record.goal}"')
         names.append(", ".join(([one.preset] if many_presets or not apart else []) + apart))
     seen = Counter[str]()
     for i, name in enumerate(names):

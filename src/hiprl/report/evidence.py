@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -71,7 +72,9 @@ def names_of(row: RunRow, T: Trajectories) -> list[str]:
     """What the entries of (s, a) are called; their numbers, where the run does not say."""
     plain = numbered(T.rows.states.shape[2], T.rows.actions.shape[2])
     named = row.spec.get("names") or plain._asdict()
-    return [*named["state"], *named["action"]]
+    names = [*named["state"], *named["action"]]
+    often = Counter(names)
+    return [name if often[name] == 1 else f"{name} ({i})" for i, name in enumerate(names)]
 
 
 def as_said(P: Preferences, form: str) -> Preferences:

@@ -30,6 +30,7 @@ from hiprl.report.summary import horizons
 
 Panel: TypeAlias = Callable[[Axes, Record], None]
 
+NO_NUMBERS = "the judge gave no numbers"
 NOMINAL = 0.9  # the share that calibrated widths cover
 DOT = {"linestyle": "none", "marker": "o", "markeredgewidth": 0.0}
 
@@ -135,6 +136,9 @@ def preference(axes: Axes, run: Record) -> None:
     """Fig. 4: how far r̂ was off about an answer before it came, and how far it thought it could be."""
     label(axes, "Error of a predicted answer", "$|g - \\hat g|$ in units of the return")
     error, sigma = np.abs(run.series("g") - run.series("g_predicted")), run.series("sigma_g")
+    if not np.isfinite(error).any():
+        say_nothing_known(axes, NO_NUMBERS)
+        return
     known = error[np.isfinite(error) & (error > 0)]
     if len(known):  # the first answers of all are predicted with a σ_g of next to nothing, which says nothing
         low, high = known.min() / 2, 2 * max(known.max(), np.nanmax(sigma))
@@ -175,6 +179,9 @@ def surprise(axes: Axes, run: Record) -> None:
     """|g - ĝ| / σ_g of each answer, and α, within which 90 % of them were."""
     label(axes, "Calibration of the reward", "$|g - \\hat g| \\,/\\, \\sigma_g$")
     z, alpha = run.surprise, run.series("alpha")
+    if not np.isfinite(z).any():
+        say_nothing_known(axes, NO_NUMBERS)
+        return
     axes.plot(run.k, z, **DOT, color=BLUE, markersize=4.5, label="each answer")
     axes.plot(run.k, alpha, color=ORANGE, linewidth=1.3, drawstyle="steps-post", label="α: 90 % are within")
     axes.axhline(1, color=GREY, linewidth=1, linestyle=(0, (4, 3)))

@@ -25,6 +25,8 @@ class Record:
     final: Facts | None
     """The summary; None while the run is not finished."""
     store: str
+    goal: str = ""
+    """What people say it is to learn, in their words."""
 
     @property
     def id(self) -> str:
@@ -67,6 +69,11 @@ class Record:
         """True return of the policy's episode that r̂ ranked best at that time; NaN in the warm-up."""
         return self.series("best_return")
 
+    def best_after(self, k: np.ndarray) -> np.ndarray:
+        """The same after so many comparisons each; between two there may be several episodes, or none."""
+        at = np.searchsorted(self.k, k, side="right") - 1
+        return np.where(at < 0, np.nan, self.best[np.maximum(at, 0)]) if len(self.episodes) else np.full(len(k), np.nan)
+
     @property
     def surprise(self) -> np.ndarray:
         """|g - ĝ| / σ_g of each answer, predicted before it came."""
@@ -82,7 +89,7 @@ class Record:
 def record(store: Store, row: RunRow) -> Record:
     """What the store knows of a run."""
     facts = [facts for _, facts in store.episodes(row.id)]
-    return Record(row=row, episodes=facts, final=store.final(row.id), store=store.name)
+    return Record(row=row, episodes=facts, final=store.final(row.id), store=store.name, goal=store.goal(row.id) or "")
 
 
 def newest(store: Store) -> RunRow:

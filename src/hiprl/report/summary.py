@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hiprl.data.facts import foreseen
 from hiprl.report.record import Facts, Record
 
 RECENT = 10  # episodes behind a median
@@ -60,9 +61,8 @@ def horizons(record: Record) -> list[str]:
 
 def right_signs(record: Record) -> float | None:
     """Share of the answers in the episodes with a policy whose side r̂ had foreseen."""
-    told = record.series("foreseen")[record.searched]
-    told = told[np.isfinite(told)]
-    return float(np.mean(told)) if len(told) else None
+    share, told = foreseen(one for one in record.episodes if one.get("searched"))
+    return share if told else None
 
 
 def recent(series: np.ndarray) -> float | None:

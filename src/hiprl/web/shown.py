@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hiprl.data.answer import Answer
-from hiprl.data.facts import enough
+from hiprl.data.facts import enough, foreseen
 from hiprl.data.film import Film
 from hiprl.store.rows import PEOPLE, AnswerRow, ClipRow, QuestionRow, RunRow
 from hiprl.store.store import Store
@@ -21,7 +21,7 @@ from hiprl.store.store import Store
 Plain = dict[str, Any]
 
 RECENT = 10  # answers by which it is told how many are foreseen
-EARLY = 3  # episodes after whose answers it is told how many are foreseen
+EARLY = 3  # answers after which it is told how many are foreseen
 NOW = 100  # steps of the clip that shows what it does now
 TOLD = ("k", "comparisons", "true_return", "return_by_reward", "worth", "foreseen", "coverage", "length", "searched")
 
@@ -75,7 +75,7 @@ class Shown:
         """How far a run is."""
         row, facts = self.store.run(run_id), [facts for _, facts in self.store.episodes(run_id)]
         asked, answers = self.store.asked(run_id)
-        foreseen = [one["foreseen"] for one in facts if one.get("foreseen") is not None][-RECENT:]
+        sure, told = foreseen(facts, recent=RECENT)
         worth = [one["worth"] for one in facts if one.get("worth") is not None]
         planned = planned_of(row)
         done = self.store.final(run_id) is not None
@@ -94,7 +94,7 @@ class Shown:
             "trained": trained,
             "open": waiting if asks else 0,
             "episodes": len(facts),
-            "sure": sum(foreseen) / len(foreseen) if len(foreseen) >= EARLY else None,
+            "sure": sure if told >= EARLY else None,
             "worth": worth[-1] if worth else None,
             "enough": enough(facts),
             "state": "finished" if done else alone,

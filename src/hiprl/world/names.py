@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 FREE, BALL, SLIDE = 0, 1, 2  # MuJoCo's types of joints; 3 is a hinge
+MOVES_A_JOINT = 0, 1  # MuJoCo's types of transmissions; others pull tendons, bodies and sites
 AXES, TURNS = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 
 
@@ -60,5 +61,6 @@ def _joints(model: Any) -> tuple[list[str], list[str]]:
 
 def _actuator(model: Any, i: int) -> str:
     """Its own name, or that of the joint that it moves."""
-    name = model.actuator(i).name or model.joint(int(model.actuator_trnid[i, 0])).name
+    moves = int(model.actuator_trntype[i]) in MOVES_A_JOINT
+    name = model.actuator(i).name or (model.joint(int(model.actuator_trnid[i, 0])).name if moves else "")
     return f"{name} effort" if name else f"a[{i}]"
