@@ -56,7 +56,7 @@ const frames = {
 
 const runs = new Map();
 const add = (name, env, { scene, clips }, more = {}) => runs.set(name, {
-  name, env, scene, clips, goal: null, planned: 30, answers: [], delay: 300, items: 2, ...more,
+  name, env, scene, clips, goal: null, planned: 30, answers: [], delay: 300, ...more,
 });
 files.forEach((file, i) => {
   const text = JSON.parse(readFileSync(file, "utf8"));
@@ -65,19 +65,16 @@ files.forEach((file, i) => {
 add("made-up", "Box-v0", madeUp);
 add("frames", "CartPole-v1", frames, { goal: "stay in the middle" });
 add("states", "Pendulum-v1", states, { goal: "swing up and stay there" });
-add("rating", "Box-v0", madeUp, { goal: "<b>hop</b> & \"turn\"", items: 1 });
-add("ranking", "Box-v0", madeUp, { goal: "hop high", items: 3 });
 add("busy", "Box-v0", madeUp, { goal: "wait for it", delay: 1e9 });
 add("finished", "Box-v0", madeUp, { goal: "be done", planned: 0, done: true });
 const past = [{ form: "choice", value: 1 }, { form: "level", value: -2, levels: 5 }, { form: "equal" }, { form: "unsure" }, { form: "level", value: 1, levels: 5 }];
 for (const run of runs.values()) {
   run.ready = 0;
-  if (run.items !== 2) continue;
   past.forEach((answer, k) => run.answers.push({ k: k + 1, judge: "me", answer, swapped: false, at: `2025-01-0${k + 1}`, agrees: [true, false, null, null, true][k] }));
 }
 
 const question = (run, k, answer = null) => ({
-  k, swapped: false, answer, clips: Array.from({ length: run.items }, (_, i) => run.clips[(k + i) % run.clips.length]),
+  k, swapped: false, answer, clips: [0, 1].map((i) => run.clips[(k + i) % run.clips.length]),
 });
 const state = (run) => (run.done ? "finished" : Date.now() < run.ready || run.delay > 1e6 ? "learning" : "waiting");
 const progress = (run) => {

@@ -23,7 +23,7 @@ export async function review(run) {
       type: "button", "data-key": `${a.k} ${a.judge}`, "aria-current": open && same(open, a) ? "true" : null, onclick: () => look(a),
     },
     make("span.past-number", {}, `${a.k}`),
-    make("span.past-words", {}, said(a.answer, a.clips.length), several ? make("span.past-judge", {}, a.judge) : null),
+    make("span.past-words", {}, said(a.answer), several ? make("span.past-judge", {}, a.judge) : null),
     a.agrees === false ? make("span.tag.differs", {}, "sees it differently")
       : a.agrees === true ? make("span.tag", {}, "agrees") : null))));
   }
@@ -51,7 +51,7 @@ export async function review(run) {
       find("empty").hidden = true;
       const { clips } = question;
       player ??= await film(find("stage"), { scene, onPick: () => player.toggle() });
-      player.load({ clips, titles: clips.length === 1 ? [] : names(clips.length) });
+      player.load({ clips, titles: names() });
       player.goOn();
       paint();
       for (const button of find("list").querySelectorAll(".past")) button.removeAttribute("aria-current");
@@ -66,16 +66,15 @@ export async function review(run) {
 
   function paint() {
     if (!open) return;
-    const count = open.clips.length;
     const mine = open.judge === judge();
-    const words = said(open.answer, count);
+    const words = said(open.answer);
     write(find("asked"), `Question ${open.k}`);
     write(find("said"), `${mine ? "You" : open.judge} said: ${words}.`
       + (open.agrees === false ? " It learned something else from all your answers together." : ""));
     find("change").hidden = !mine;
     find("others").hidden = mine;
     write(find("others"), `Only ${open.judge} can change this answer.`);
-    strip.show(count, open.answer);
+    strip.show(open.answer);
     strip.busy = false;
     find("unsure").setAttribute("aria-pressed", String(open.answer?.form === "unsure"));
   }
@@ -90,12 +89,12 @@ export async function review(run) {
       const { progress } = await server.answer({ k: past.k, judge: past.judge, swapped: false, answer });
       past.answer = answer;
       past.agrees = null;
-      announce(`Changed to: ${said(answer, past.clips.length)}`);
+      announce(`Changed to: ${said(answer)}`);
       await list();
       const fresh = all.find((a) => same(a, past));
       if (open === past && fresh) open = fresh;
       paint();
-      write(find("said"), `Changed to: ${said(answer, past.clips.length)}. ${taken(progress)}`);
+      write(find("said"), `Changed to: ${said(answer)}. ${taken(progress)}`);
     } catch (error) {
       strip.busy = false;
       trouble(error, () => change(answer));
@@ -112,10 +111,10 @@ export async function review(run) {
   }
 
   /** The answer that belongs to a key, as where one teaches; but arrows, by which a list is read, change nothing. */
-  function keyed(key, count) {
+  function keyed(key) {
     if (key === "u" || key === "?") return { form: "unsure" };
-    if (/^[1-5]$/.test(key) && count <= 2) return level(Number(key), count);
-    return key === "e" && count === 2 ? { form: "equal" } : null;
+    if (/^[1-5]$/.test(key)) return level(Number(key));
+    return key === "e" ? { form: "equal" } : null;
   }
 
   for (const id of ["list", "change"]) {
@@ -128,8 +127,7 @@ export async function review(run) {
     if (event.ctrlKey || event.metaKey || event.altKey || !open) return;
     const { tagName, type } = event.target;
     if (tagName === "INPUT" && (type !== "range" || /^(Arrow|Home|End|Page)/.test(event.key))) return;
-    const count = open.clips.length;
-    const given = open.judge === judge() && !event.repeat ? keyed(event.key.toLowerCase(), count) : null;
+    const given = open.judge === judge() && !event.repeat ? keyed(event.key.toLowerCase()) : null;
     if (event.key === " " && tagName !== "BUTTON" && tagName !== "A") player?.toggle();
     else if (event.key === "[") player?.nudge(-1);
     else if (event.key === "]") player?.nudge(1);
@@ -141,7 +139,7 @@ export async function review(run) {
   });
   whenStacked(() => {
     if (!open) return;
-    player?.name(open.clips.length === 1 ? [] : names(open.clips.length));
+    player?.name(names());
     paint();
   });
 

@@ -93,8 +93,7 @@ class Teaching {
         this.show(question);
         if (announceIt) {
           const { answers, planned } = got.progress;
-          const what = question.clips.length === 2 ? "pair" : question.clips.length === 1 ? "clip" : "clips";
-          announce(`Next ${what}: ${answers + 1}${planned ? ` of ${planned}` : ""}`);
+          announce(`Next pair: ${answers + 1}${planned ? ` of ${planned}` : ""}`);
         }
         return;
       }
@@ -134,8 +133,7 @@ class Teaching {
 
   /** Tells what was said of what is shown, as it is shown now; gives the words. */
   #said() {
-    const { answer, clips } = this.question;
-    const words = `You said: ${said(this.shown(answer), clips.length)}. `
+    const words = `You said: ${said(this.shown(this.question.answer))}. `
       + (this.second ? "It would say otherwise: look again, while it tries something new?" : "What is right?");
     write(find("again-text"), words);
     find("again").hidden = false;
@@ -164,12 +162,9 @@ class Teaching {
     main.dataset.question = String(question.k);
     this.busy = this.strip.busy = false;
     this.#dim(false);
-    this.player.load({ clips: this.clips(), titles: this.titles() });
+    this.player.load({ clips: this.clips(), titles: names() });
     this.player.goOn();
-    this.strip.show(question.clips.length, this.shown(question.answer));
-    const pair = question.clips.length === 2;
-    find("swap").hidden = !pair;
-    find("equal-key").hidden = !pair;
+    this.strip.show(this.shown(question.answer));
     this.hint(0);
   }
 
@@ -178,27 +173,21 @@ class Teaching {
     return this.flipped ? [...this.question.clips].reverse() : this.question.clips;
   }
 
-  titles() {
-    const { length } = this.question.clips;
-    return length === 1 ? [] : names(length);
-  }
-
   /** An answer in the server's order turned to what is shown here, or back. */
   shown(answer) {
-    if (!answer || !this.flipped || typeof answer.value !== "number" || answer.form === "rating") return answer;
-    return { ...answer, value: -answer.value };
+    return this.flipped && typeof answer?.value === "number" ? { ...answer, value: -answer.value } : answer;
   }
 
   async answer(answer) {
     if (!this.question || this.busy || !this.player || performance.now() < this.settled) return;
-    const { k, swapped, clips } = this.question;
+    const { k, swapped } = this.question;
     this.busy = this.strip.busy = true;
     this.strip.mark(answer);
     this.#dim(true);
-    let words = `You said: ${said(answer, clips.length)}`;
+    let words = `You said: ${said(answer)}`;
     try {
       const { progress } = await this.api.answer({
-        k, judge: judge(), swapped: clips.length === 2 ? Boolean(swapped) !== this.flipped : Boolean(swapped), answer,
+        k, judge: judge(), swapped: swapped !== this.flipped, answer,
       });
       this.progress(progress);
       if (progress.state.startsWith("finish")) words += `. ${taken(progress)}`;
@@ -222,14 +211,8 @@ class Teaching {
   }
 
   pick(index) {
-    if (!this.question) {
-      this.player.toggle();
-      return;
-    }
-    const { length } = this.question.clips;
-    if (length === 1) this.player.toggle();
-    else if (length === 2) this.answer({ form: "choice", value: index ? -1 : 1 });
-    else this.strip.rank(index);
+    if (this.question) this.answer({ form: "choice", value: index ? -1 : 1 });
+    else this.player.toggle();
   }
 
   async undo() {
@@ -262,10 +245,10 @@ class Teaching {
   }
 
   swap() {
-    if (!this.question || this.busy || this.question.clips.length !== 2) return;
+    if (!this.question || this.busy) return;
     this.flipped = !this.flipped;
-    this.player.load({ clips: this.clips(), titles: this.titles(), keepTime: true });
-    this.strip.show(2, this.shown(this.question.answer));
+    this.player.load({ clips: this.clips(), titles: names(), keepTime: true });
+    this.strip.show(this.shown(this.question.answer));
     if (this.again) this.#said();
     announce("Sides swapped");
   }
@@ -497,8 +480,8 @@ class Teaching {
     find("help-close").addEventListener("click", () => find("help").close());
     whenStacked(() => {
       if (!this.question) return;
-      this.player.name(this.titles());
-      this.strip.show(this.question.clips.length, this.shown(this.question.answer));
+      this.player.name(names());
+      this.strip.show(this.shown(this.question.answer));
       if (this.again) this.#said();
     });
     document.addEventListener("keydown", (event) => this.key(event));
@@ -523,11 +506,11 @@ class Teaching {
       return;
     }
     const once = (each) => (event.repeat ? null : each());
-    const count = this.question?.clips.length ?? 0;
+    const asked = Boolean(this.question);
     const act = {
-      ArrowLeft: () => count === 2 && once(() => this.answer({ form: "choice", value: 1 })),
-      ArrowRight: () => count === 2 && once(() => this.answer({ form: "choice", value: -1 })),
-      e: () => count === 2 && once(() => this.answer({ form: "equal" })),
+      ArrowLeft: () => asked && once(() => this.answer({ form: "choice", value: 1 })),
+      ArrowRight: () => asked && once(() => this.answer({ form: "choice", value: -1 })),
+      e: () => asked && once(() => this.answer({ form: "equal" })),
       u: () => once(() => this.answer({ form: "unsure" })),
       "?": () => once(() => this.answer({ form: "unsure" })),
       z: () => once(() => this.undo()),
@@ -545,10 +528,8 @@ class Teaching {
     }[key.length === 1 ? key.toLowerCase() : key];
     if (act) {
       if (act() !== false) event.preventDefault();
-    } else if (/^[1-9]$/.test(key) && count) {
-      const step = Number(key);
-      if (count > 2) once(() => this.strip.rank(step - 1));
-      else if (step <= 5) once(() => this.answer(level(step, count)));
+    } else if (/^[1-5]$/.test(key) && asked) {
+      once(() => this.answer(level(Number(key))));
     }
   }
 }

@@ -1,15 +1,10 @@
 // Plain words for what the program knows.
 
-export const RATINGS = ["very bad", "bad", "so-so", "good", "very good"];
-
-const LETTERS = "ABCDEFGH";
 const stacked = matchMedia("(max-width: 640px) and (orientation: portrait)");
 
-/** What the clips are called, as they lie on this screen. */
-export function names(count) {
-  if (count === 1) return ["This clip"];
-  if (count === 2) return stacked.matches ? ["Top", "Bottom"] : ["Left", "Right"];
-  return Array.from({ length: count }, (_, i) => LETTERS[i] ?? String(i + 1));
+/** What the two clips are called, as they lie on this screen. */
+export function names() {
+  return stacked.matches ? ["Top", "Bottom"] : ["Left", "Right"];
 }
 
 export function whenStacked(each) {
@@ -17,10 +12,9 @@ export function whenStacked(each) {
 }
 
 /** An answer as shown, in words: "left much better". */
-export function said(answer, count = 2) {
+export function said(answer) {
   if (!answer) return "no answer";
-  const at = names(count);
-  const side = answer.value > 0 ? at[0] : at[1] ?? "";
+  const side = names()[answer.value > 0 ? 0 : 1];
   switch (answer.form) {
     case "equal": return "equal";
     case "unsure": return "cannot tell";
@@ -28,10 +22,7 @@ export function said(answer, count = 2) {
     case "level":
       if (!answer.value) return "equal";
       return `${side} ${Math.abs(answer.value) > 1 ? "much better" : "better"}`;
-    case "rating": return RATINGS[answer.value + 2] ?? `${answer.value}`;
-    case "ranking": return `best to worst: ${answer.value.map((i) => at[i]).join(", ")}`;
-    case "number":
-    case "difference": return `${side} better by ${Math.abs(answer.value).toPrecision(3)}`;
+    case "number": return `${side} better by ${Math.abs(answer.value).toPrecision(3)}`;
     default: return typeof answer.value === "number" ? `${side} better` : answer.form;
   }
 }
