@@ -5,7 +5,11 @@ import pytest
 import hiprl
 from hiprl.api import Learned
 from hiprl.errors import InputError, JudgeError
+from hiprl.session import RunSpec, start
+from hiprl.store.rows import PEOPLE
+from hiprl.store.store import open_store
 from hiprl.types import Actor
+from hiprl.world.build import world_from
 from hiprl.world.gym import GymWorld
 from tests.whole.tasks import TINY, Sledge
 
@@ -122,3 +126,11 @@ def test_everything_named_in_the_package_is_there():
         assert getattr(hiprl, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'laern'"):
         hiprl.laern  # noqa: B018
+
+
+def test_a_run_that_people_teach_goes_on_with_their_answers_alone(tmp_path):
+    path = tmp_path / "runs.db"
+    with open_store(path) as store:
+        run_id = start(store, world_from("linear"), RunSpec(seed=0, config=TINY, judge=PEOPLE))
+    with pytest.raises(InputError, match=f"taught by people.*hiprl resume {run_id}"):
+        hiprl.resume(run_id, lambda tau, other: 0.0, store=path)

@@ -9,6 +9,10 @@ class InputError(HiprlError):
     """What came in cannot be used: a flag, an environment, an array. The command line exits with 2."""
 
 
+class Answered(InputError):
+    """A question that was open when it was shown was answered by somebody else in the meantime."""
+
+
 class WorldError(HiprlError):
     """The environment broke while it ran: it raised, gave a value that is not finite, or changed shape."""
 

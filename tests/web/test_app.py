@@ -97,7 +97,7 @@ def test_who_looks_for_long_is_told_that_another_one_answered(client, store: Sto
     question = asked(client, run_id, "ada")
     store.answer(run_id, question["k"], choice(True), "bo")  # ada's turn was over
     refused = says(client, run_id, question, choice(False))
-    assert refused.status_code == 409 and "Somebody else" in refused.json()["error"]
+    assert refused.status_code == 409 and "answered by bo" in refused.json()["error"]
     assert [row.judge for row in store.answers(run_id)] == ["bo"]
 
 

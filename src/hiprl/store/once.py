@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import sqlalchemy as sa
 
 from hiprl.data.answer import Answer
-from hiprl.errors import InputError, StoreError
+from hiprl.errors import Answered, InputError, StoreError
 from hiprl.store.rows import ClipRow, TrajectoryRow, number_of, numbers_only
 from hiprl.store.schema import answers, checkpoints, episodes, finals, questions, runs, trajectories
 
@@ -101,8 +101,13 @@ def _check_clips(connection: sa.Connection, run_id: str, clips: Sequence[ClipRow
             )
 
 
-def add_answer(connection: sa.Connection, run_id: str, k: int, answer: Answer, judge: str, swapped: bool) -> bool:
-    """An answer to episode k's question; False, and nothing, if its newest one is this judge's and the same."""
+def add_answer(
+    connection: sa.Connection, run_id: str, k: int, answer: Answer, judge: str, swapped: bool, *, own: bool = False
+) -> bool:
+    """An answer to episode k's question; False, and nothing, if its newest one is this judge's and the same.
+
+    With `own`, a question that others have answered and this judge has not is refused.
+    """
     mine = (questions.c.run_id == run_id) & (questions.c.k == k)
     query = sa.select(questions.c.id, questions.c.clips, runs.c.spec).join(runs).where(mine)
     query = query.with_for_update(of=questions)  # or what is said twice at once would be kept twice
@@ -115,10 +120,15 @@ def add_answer(connection: sa.Connection, run_id: str, k: int, answer: Answer, j
     refuse_unfitting(run_id, k, answer, len(asked.clips), numbers_only=numbers_only(asked.spec))
     g = number_of(answer)
     said = answer.plain() | ({} if g is None else {"value": g})
-    newest = sa.select(answers.c.said, answers.c.judge).where(answers.c.question_id == asked.id)
-    before = connection.execute(newest.order_by(answers.c.id.desc()).limit(1)).one_or_none()
-    if before is not None and (before.said, before.judge) == (said, judge):
+    given = sa.select(answers.c.said, answers.c.judge).where(answers.c.question_id == asked.id)
+    before = [(one.said, one.judge) for one in connection.execute(given.order_by(answers.c.id))]
+    if before and before[-1] == (said, judge):
         return False
+    if own and before and all(name != judge for _, name in before):
+        raise Answered(
+            f"question {k} was answered by {before[-1][1]} in the meantime; a question is one judge's. "
+            "Go on with the next one."
+        )
     row = {"g": g, "said": said, "judge": judge, "swapped": swapped, "created_at": datetime.now(UTC)}
     connection.execute(sa.insert(answers).values(question_id=asked.id, **row))
     return True

@@ -294,7 +294,9 @@ class Store:
         with self._database.reading() as connection:
             return untaken(connection, run_id)
 
-    def answer(self, run_id: str, k: int, answer: Answer, judge: str, *, swapped: bool = False) -> bool:
+    def answer(
+        self, run_id: str, k: int, answer: Answer, judge: str, *, swapped: bool = False, own: bool = False
+    ) -> bool:
         """Keep an answer to episode k's question; it replaces earlier ones, which stay to be seen.
 
         Args:
@@ -303,28 +305,26 @@ class Store:
             answer: what is said of the question's clips, in the question's own order.
             judge: who says so.
             swapped: whether the judge was shown the second one first.
+            own: whether to refuse a question that others have answered and this judge has not.
 
         Returns:
             False if the newest one was this judge's and the same: said twice is said once.
 
         Raises:
             InputError: nothing is asked there, or the answer is about more or fewer clips than the question.
+            Answered: it is another judge's.
         """
-        return self.answer_all(run_id, [(k, answer, judge, swapped)]) == 1
+        with self._database.writing() as connection:
+            return add_answer(connection, run_id, k, answer, judge, swapped, own=own)
 
     def answer_all(self, run_id: str, given: Iterable[tuple[int, Answer, str, bool]]) -> int:
-        """`answer` for several (k, answer, judge, swapped): all of them or, if one is refused, none.
-
-        Returns:
-            How many were new.
-        """
+        """`answer` for several (k, answer, judge, swapped): all or, if one is refused, none. How many were new."""
         with self._database.writing() as connection:
             return sum(add_answer(connection, run_id, *one) for one in given)
 
     def answer_of(self, run_id: str, k: int) -> Answer | None:
         """The newest answer to episode k's question; None while there is none."""
-        said = [row.answer for row in self.answers(run_id) if row.k == k]
-        return said[-1] if said else None
+        return {row.k: row.answer for row in self.answers(run_id)}.get(k)
 
     def answers(self, run_id: str) -> list[AnswerRow]:
         """All answers in the order they were given, corrected ones too."""

@@ -24,7 +24,7 @@ from starlette.templating import Jinja2Templates
 
 from hiprl.data.answer import Answer
 from hiprl.data.words import hidden_in, seen_of
-from hiprl.errors import HiprlError, InputError
+from hiprl.errors import Answered, HiprlError, InputError
 from hiprl.store.store import Store
 from hiprl.web.access import OPEN_PATHS, Doors, Guard, foreign
 from hiprl.web.shown import Shown, taught_by_people, turned
@@ -125,10 +125,7 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
         if type(k) is not int or not 0 <= k < 1 << 31 or not isinstance(swapped, bool) or not isinstance(said, dict):
             raise HTTPException(400, "An answer has k, judge, swapped and answer.")
         given = turned(Answer.taken(said), swapped)
-        judges = [row.judge for row in store.answers(run_id) if row.k == k]
-        if judges and judge not in judges:  # who looks for long may find that another one was asked meanwhile
-            raise HTTPException(409, "Somebody else has answered this one meanwhile; it is theirs.")
-        new = store.answer(run_id, k, given, judge, swapped=swapped)
+        new = store.answer(run_id, k, given, judge, swapped=swapped, own=True)  # a turn at it may be over by now
         return {"new": new, "progress": shown.lately(run_id, seconds=0.0)}
 
     def goal(request: Request, body: dict[str, Any]) -> Any:
@@ -195,7 +192,8 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
         if isinstance(error, HTTPException):
             status, words = error.status_code, str(error.detail)
         elif isinstance(error, HiprlError):
-            status, words = (400 if isinstance(error, InputError) else 503), str(error)
+            kinds = {Answered: 409, InputError: 400, HiprlError: 503}
+            status, words = next(code for kind, code in kinds.items() if isinstance(error, kind)), str(error)
         words = words.encode(errors="backslashreplace").decode()  # what was sent may hold half a sign
         if request.url.path.startswith("/api/"):
             return JSONResponse({"error": words}, status)
