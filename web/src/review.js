@@ -23,7 +23,7 @@ export async function review(run) {
       type: "button", "data-key": `${a.k} ${a.judge}`, "aria-current": open && same(open, a) ? "true" : null, onclick: () => look(a),
     },
     make("span.past-number", {}, `${a.k}`),
-    make("span.past-words", {}, said(a.answer), several ? make("span.past-judge", {}, a.judge) : null),
+    make("span.past-words", {}, said(a.answer), several ? make("span.past-judge", {}, a.judge === judge() ? "you" : a.judge) : null),
     a.agrees === false ? make("span.tag.differs", {}, "sees it differently")
       : a.agrees === true ? make("span.tag", {}, "agrees") : null))));
   }
