@@ -104,6 +104,11 @@ class Person:
         if "/next?" in response.url and response.ok and (question := response.json()["question"]) is not None:
             self.shown = question
 
+    def leave(self) -> None:
+        """Closes the page; a pair that is still on its way is not looked at."""
+        self.page.remove_listener("response", self._look)
+        self.page.close()
+
     def worth(self, clip: dict) -> float:
         """How good a clip is."""
         sent = clip["poses"] if "poses" in clip else clip["states"]

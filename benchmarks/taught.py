@@ -107,7 +107,7 @@ def taught(wish: Wish, *, answers: int, seed: int, store: str) -> dict[str, Any]
         if page.locator("#setup[open]").count():
             page.keyboard.press("Escape")
         given = person.answer(answers, pause=PAUSE, patience=PATIENCE)
-        page.close()
+        person.leave()
         trainer.process.wait(1200)
         if trainer.process.returncode:
             raise SystemExit("".join(trainer.said))
