@@ -1,4 +1,4 @@
-"""Which of the policies that were executed a run reports: the one that the newest r̂ ranks best by what it did."""
+"""Which of the policies that were executed a run reports: the best by what the newest r̂ is sure of what it did."""
 
 from __future__ import annotations
 
