@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import NamedTuple
 
@@ -10,20 +9,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Shaped
+from jaxtyping import Array, Float, Shaped
 
 from hiprl.data.preference import Clip, Kind, Preferences
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.features import AdditiveFeatures, Fine, size_of
+from hiprl.models.features import AdditiveFeatures, size_of
 from hiprl.models.network import Scaler
-from hiprl.models.sums import Steps, by_row, columns, evenly, side_by_side, steps_of, total
+from hiprl.models.sums import Steps, columns, evenly, side_by_side, steps_of, total
 from hiprl.types import Count
 
 BOX_MARGIN = 0.25  # how far past the seen range a coordinate, and the reward itself, may count
-EDGE = 1.0  # spreads from the middle, past which values count no more than there
-OF_NORMAL = 1 - math.sqrt(2 / (math.e * math.pi))  # variance of a standard normal so cut
-CLOSER = 20  # rounds of finding middle and spread: half of the values may be far away
-LEAST_SPREAD = 0.05  # in standard deviations: where an entry mostly stands still, its other values stay apart
 TOGETHER, PART = 8, 512  # clips, and steps, whose features are made at a time: what stays near the processor
 
 
@@ -36,32 +31,12 @@ def features_of(steps: Steps) -> AdditiveFeatures:
     least = scaler.down(jnp.min(jnp.where(mask[None], x, jnp.inf), axis=1))
     most = scaler.down(jnp.max(jnp.where(mask[None], x, -jnp.inf), axis=1))
     margin = BOX_MARGIN * (most - least)
+    features = AdditiveFeatures(scaler, least - margin, most + margin, jnp.zeros(size_of(x.shape[0]), x.dtype))
     some, there = evenly(mask)  # a mean of many does not need them all
-    low, high, nothing = least - margin, most + margin, jnp.zeros(size_of(x.shape[0]), x.dtype)
-    fine = Fine.of(most_of(by_row(scaler).down(x[:, some]), there), low, high)
-    features = AdditiveFeatures(scaler, low, high, fine, nothing)
     each = lambda x: total(features, columns(features, x[0]), x[1])
     whole = jnp.sum(jax.lax.map(each, (in_parts(x[:, some]), in_parts(there[None])[:, 0])), axis=0)
     centre = (whole / jnp.maximum(whole[0], 1)).at[0].set(0.0)
     return eqx.tree_at(lambda f: f.centre, features, centre)
-
-
-def most_of(x: Float[Array, "n steps"], there: Bool[Array, " steps"]) -> Scaler:
-    """Middle and spread of each row, where values far away count as much as those at the edge of what is usual.
-
-    Source: Huber (1964), proposal 2.
-    """
-    count = jnp.maximum(jnp.sum(there), 1)
-    mean = lambda x: jnp.sum(jnp.where(there[None], x, 0.0), axis=1) / count
-
-    def closer(_: Count, now: Scaler) -> Scaler:
-        edge = jnp.clip(by_row(now).down(x), -EDGE, EDGE)
-        middle = mean(edge)
-        var = mean((edge - middle[:, None]) ** 2) / OF_NORMAL
-        return Scaler(now.mean + now.std * middle, jnp.maximum(now.std * jnp.sqrt(var), LEAST_SPREAD))
-
-    start = Scaler(jnp.zeros(x.shape[0], x.dtype), jnp.ones(x.shape[0], x.dtype))
-    return jax.lax.fori_loop(0, CLOSER, closer, start)
 
 
 def in_parts(x: Shaped[Array, "n steps"]) -> Shaped[Array, "parts n PART"]:

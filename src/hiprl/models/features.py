@@ -1,10 +1,9 @@
 """Features of a state and an action in which the latent reward is linear: a bias, and a function of each coordinate.
 
 Each coordinate counts in proportion and, on top, by a smooth function: a Gaussian process with squared exponential
-kernel, written in sine waves. The waves are the same for every lengthscale, which only says how their prior variances
-fall: so that one pass over the data serves all lengthscales that are weighed up, "fast is good" (a straight line) to
-"stay within a step of this". The kernel is in a coordinate that is as fine where most values lie as it is coarse far
-away: a few episodes that went far would else leave nothing fine enough where what is wanted is decided.
+kernel in the standardised coordinate, written in the sine waves that vanish `REACH` standard deviations from the mean.
+The waves are the same for every lengthscale, which only says how their prior variances fall: so that one pass over the
+data serves all lengthscales that are weighed up, "fast is good" (a straight line) to "stay within a step of this".
 Source: Solin and Särkkä (2020), Hilbert space methods for reduced-rank Gaussian process regression.
 """
 
@@ -24,13 +23,12 @@ from hiprl.models.network import Scaler, sloped
 from hiprl.types import Action, Scalar, State
 
 WAVES = 16  # of each coordinate: enough for a lengthscale of 0.5
-REACH = 6.0  # where the waves vanish, in the coordinate of the smooth part
-SPAN = 4.0  # how far from the middle what was seen may lie in that coordinate
+REACH = 6.0  # where the waves vanish, in standard deviations of the data
 INSIDE = 0.95 * REACH  # what lies past this counts as this
 LEAST = 1e-9  # prior variance of a wave: as good as none, and a number that float32 can invert
 SERIES = 6  # terms of a sine's series past the first
 FREQUENCIES = math.pi * np.arange(1, WAVES + 1) / (2 * REACH)
-"""Of the waves, in radians."""
+"""Of the waves, in radians a standard deviation."""
 
 
 class Kernel(NamedTuple):
@@ -38,37 +36,11 @@ class Kernel(NamedTuple):
 
     variance: float
     length: float
-    """Lengthscale, in usual standard deviations where most values lie."""
-
-
-class Fine(eqx.Module):
-    """The coordinate z in which functions are smooth: u / (1 + a |u|), u in spreads from the middle of most values.
-
-    No coarser far away than it has to be for all that was seen to lie within `SPAN`: a = 0 where it does anyway.
-    """
-
-    usual: Scaler
-    """Middle and spread of most values."""
-    squeeze: Float[Array, " *n"]
-    """That a, of each coordinate."""
-
-    @classmethod
-    def of(cls, usual: Scaler, low: Float[Array, " n"], high: Float[Array, " n"]) -> Fine:
-        """With values between these seen."""
-        far = jnp.maximum(-usual.down(low), usual.down(high))
-        return cls(usual, jnp.maximum(1 / SPAN - 1 / jnp.maximum(far, SPAN), 0.0))
-
-    def __call__(self, x: Float[Array, " *n"]) -> Float[Array, " *n"]:
-        u = self.usual.down(x)
-        return u / (1 + self.squeeze * jnp.abs(u))
-
-    def slope(self, x: Float[Array, " *n"]) -> Float[Array, " *n"]:
-        """dz/dx."""
-        return 1 / (self.usual.std * (1 + self.squeeze * jnp.abs(self.usual.down(x))) ** 2)
+    """Lengthscale, in standard deviations of the data."""
 
 
 class AdditiveFeatures(eqx.Module):
-    """φ(s, a) = (1, x, sine waves of each z_j) with x = (s, a) standardised and kept in the seen box.
+    """φ(s, a) = (1, x, sine waves of each x_j) with x = (s, a) standardised and kept in the seen box.
 
     All but the bias have mean 0 over what was seen. So r̂ has no level of its own that could jump from one refit to
     the next: only where lengths differ do answers say something about a level, and then the bias carries it.
@@ -78,8 +50,6 @@ class AdditiveFeatures(eqx.Module):
     low: Float[Array, " n"]
     """Least standardised value that counts; smaller ones count as this."""
     high: Float[Array, " n"]
-    fine: Fine
-    """From x to z."""
     centre: Float[Array, " D"]
     """Mean of the raw features over what was seen; 0 for the bias."""
 
@@ -93,13 +63,12 @@ class AdditiveFeatures(eqx.Module):
         return jnp.clip(self.scaler.down(jnp.concatenate([s, a])), self.low, self.high)
 
     def __call__(self, s: State, a: Action) -> Float[Array, " D"]:
-        x = self.coordinates(s, a)
-        return raw_features(x, self.fine(x)) - self.centre
+        return raw_features(self.coordinates(s, a)) - self.centre
 
     def dot(self, s: State, a: Action, weights: Float[Array, " D"]) -> Scalar:
         """φ(s, a)ᵀ weights without writing φ out."""
         x = self.coordinates(s, a)
-        return weights[0] + jnp.sum(functions(x, self.fine, by_entry(weights).T)) - self.centre @ weights
+        return weights[0] + jnp.sum(functions(x, by_entry(weights).T)) - self.centre @ weights
 
     def prior(self, kernel: Kernel) -> Float[Array, " D"]:
         """Prior variance of each weight."""
@@ -150,14 +119,14 @@ def spectrum(length: float) -> Float[np.ndarray, " j"]:
     return np.maximum(density, LEAST)
 
 
-def raw_features(x: Float[Array, " n"], z: Float[Array, " n"]) -> Float[Array, " D"]:
-    """(1, x, sine waves of each z_j)."""
-    return jnp.concatenate([jnp.ones(1), x, jnp.stack(waves(z), axis=1).reshape(-1)])
+def raw_features(x: Float[Array, " n"]) -> Float[Array, " D"]:
+    """(1, x, sine waves of each x_j)."""
+    return jnp.concatenate([jnp.ones(1), x, jnp.stack(waves(x), axis=1).reshape(-1)])
 
 
-def waves(z: Float[Array, " n"]) -> list[Float[Array, " n"]]:
-    """sin(j π (z + L) / 2L) / √L for j = 1, 2, … with L = `REACH`, each from the two before."""
-    sine = sine_of(math.pi / (2 * REACH) * jnp.clip(z, -INSIDE, INSIDE))  # of the angle less a right one
+def waves(x: Float[Array, " n"]) -> list[Float[Array, " n"]]:
+    """sin(j π (x + L) / 2L) / √L for j = 1, 2, … with L = `REACH`, each from the two before."""
+    sine = sine_of(math.pi / (2 * REACH) * jnp.clip(x, -INSIDE, INSIDE))  # of the angle less a right one
     wave, twice = jnp.sqrt(1 - sine**2) / math.sqrt(REACH), -2 * sine
     found = [wave, twice * wave]
     for _ in range(WAVES - 2):
@@ -165,27 +134,26 @@ def waves(z: Float[Array, " n"]) -> list[Float[Array, " n"]]:
     return found
 
 
-def functions(x: Float[Array, "..."], fine: Fine, weights: Float[Array, "..."]) -> Float[Array, "..."]:
-    """What each x counts for: weights[0] times itself, and the further ones times the waves of its z.
+def functions(x: Float[Array, "..."], weights: Float[Array, "..."]) -> Float[Array, "..."]:
+    """What each x counts for: weights[0] times itself, and the further ones times its waves.
 
     By Clenshaw's recurrence, which needs no wave of its own, and with the slope found on the way: a backward pass
-    through the waves would take several times as long. All but x is constant to it.
+    through the waves would take several times as long. The weights are constants to it.
     """
-    return sloped(partial(_value_and_slope, fine, weights))(x)
+    return sloped(partial(_value_and_slope, weights))(x)
 
 
 def _value_and_slope(
-    fine: Fine, weights: Float[Array, "..."], x: Float[Array, "..."]
+    weights: Float[Array, "..."], x: Float[Array, "..."]
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     rate, size = math.pi / (2 * REACH), 1 / math.sqrt(REACH)
-    z = fine(x)
-    sine = sine_of(rate * jnp.clip(z, -INSIDE, INSIDE))  # of the angle less a right one, as in `waves`
+    sine = sine_of(rate * jnp.clip(x, -INSIDE, INSIDE))  # of the angle less a right one, as in `waves`
     cosine, twice = jnp.sqrt(1 - sine**2), -2 * sine
     value, before, slope, slope_before = (jnp.zeros_like(x) for _ in range(4))
     for j in range(WAVES, 0, -1):
         value, before = weights[j] + twice * value - before, value
         slope, slope_before = j * weights[j] + twice * slope - slope_before, slope
-    turn = jnp.where(jnp.abs(z) < INSIDE, slope * sine + slope_before, 0.0) * fine.slope(x)
+    turn = jnp.where(jnp.abs(x) < INSIDE, slope * sine + slope_before, 0.0)
     return weights[0] * x + size * cosine * value, weights[0] - size * rate * turn
 
 
