@@ -260,7 +260,7 @@ def restart(run: Run, config: Config) -> tuple[SearchState, Count]:
     """
     if not config.restart:
         return run.archive.get(run.T.last), jnp.zeros((), jnp.int32)
-    tried, returns = run.archive.filled, run.reward.credible(run.T)
+    tried, returns = run.archive.filled, run.reward.returns(run.T)
     best = run.archive.best(returns)
     setbacks = jnp.sum(tried & (jnp.arange(run.T.capacity) > best))
     random = jnp.max(jnp.where(run.T.real & ~tried, returns, -jnp.inf))

@@ -1,4 +1,4 @@
-"""Which of the policies that were executed a run reports: the best by what the newest r̂ is sure of what it did."""
+"""Which of the policies that were executed a run reports: the one that the newest r̂ ranks best by what it did."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def confirmed(run: Run, world: World, config: Config, *, key: Key) -> tuple[Coun
 
     Source: sequential halving, Karnin et al. (2013), "Almost optimal exploration in multi-armed bandits".
     """
-    returns = np.asarray(run.reward.credible(run.T))
+    returns = np.asarray(run.reward.returns(run.T))
     ranked = sorted(map(int, np.flatnonzero(run.archive.filled)), key=lambda i: -returns[i]) or [0]
     left = config.confirmations
     alive = ranked[: max(2, left // EACH)] if left > 1 else ranked[:1]
@@ -41,7 +41,7 @@ def confirmed(run: Run, world: World, config: Config, *, key: Key) -> tuple[Coun
         left -= each * len(alive)
         for i in alive * each:
             tau = world.roll_out(actors[i], key=jr.clone(draws[len(executed[i])]))
-            executed[i].append(float(run.reward.credible(nothing.add(tau))[0]))
+            executed[i].append(float(run.reward.returns(nothing.add(tau))[0]))
             steps += tau.length
         alive = sorted(alive, key=lambda i: np.mean(executed[i]), reverse=True)[: (len(alive) + 1) // 2]
     return jnp.asarray(alive[0], jnp.int32), steps
@@ -49,7 +49,7 @@ def confirmed(run: Run, world: World, config: Config, *, key: Key) -> tuple[Coun
 
 def best_actor(run: Run, world: World, config: Config) -> Actor:
     """The policy whose executed trajectory the newest r̂ ranks best."""
-    return actor_of(run, run.archive.best(run.reward.credible(run.T)), world, config)
+    return actor_of(run, run.archive.best(run.reward.returns(run.T)), world, config)
 
 
 def actor_of(run: Run, i: Count | int, world: World, config: Config) -> Actor:

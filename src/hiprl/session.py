@@ -298,7 +298,7 @@ def facts_of_attempt(run: Run, new: Attempt, after: Run, config: Config) -> Fact
     }
     if new.searched:
         errors = rollout_errors(run.dynamics.ensemble, new.tau, HORIZONS)
-        best = after.archive.best(after.reward.credible(after.T))
+        best = after.archive.best(returns)
         facts |= {
             "imagined": float(new.report.imagined),
             "imagined_worst": float(new.report.worst),

@@ -354,7 +354,7 @@ def episodes_of(run: Run) -> int:
 def news(run: Run) -> bool:
     """Whether the newest policy is better than all before it."""
     real = np.asarray(run.T.real)
-    return improved(np.asarray(run.reward.credible(run.T))[real], np.asarray(run.archive.filled)[real])
+    return improved(np.asarray(run.reward.returns(run.T))[real], np.asarray(run.archive.filled)[real])
 
 
 def improved(returns: np.ndarray, tried: np.ndarray) -> bool:

@@ -17,10 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from hiprl.data.preference import Clip, Preferences
+from hiprl.data.preference import Preferences
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.evidence import BOX_MARGIN, Evidence, clip_sums, evidence
+from hiprl.models.evidence import BOX_MARGIN, Evidence, evidence
 from hiprl.models.features import AdditiveFeatures, Kernel, by_entry, parts_of
 from hiprl.models.relevance import OF_NUMBERS, relevance_of, spread_by
 from hiprl.models.sums import columns, side_by_side, steps_of, values
@@ -55,10 +55,6 @@ class EstimatedReward(Reward):
     @abstractmethod
     def returns(self, T: Trajectories) -> Float[Array, " N"]:
         """Sum of r̂ along each trajectory of T; minus infinity past the count."""
-
-    def credible(self, T: Trajectories) -> Float[Array, " N"]:
-        """What of these returns may be relied on: by this, policies are ranked."""
-        return self.returns(T)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,8 +118,6 @@ class AdditiveReward(EstimatedReward):
     low: Scalar
     high: Scalar
     errors: Errors
-    judged: Float[Array, " D"]
-    """Mean of φ over the steps that were judged."""
 
     @property
     def going_on(self) -> float:
@@ -144,21 +138,11 @@ class AdditiveReward(EstimatedReward):
     def gap_of(self, psi: Float[Array, " D"]) -> Gap:
         """The same for two clips whose sums of φ differ by ψ."""
         mean = psi @ self.mean
-        return Gap(mean, jnp.sqrt(self.variance_of(psi) + (self.errors.spread * mean) ** 2))
-
-    def variance_of(self, psi: Float[Array, " D"]) -> Scalar:
-        """Of the belief about ψᵀθ, in r̂'s own unit."""
-        return jnp.maximum(jnp.sum(psi**2 * self.prior) - jnp.sum((self.root @ psi) ** 2), 0.0)
+        var = jnp.sum(psi**2 * self.prior) - jnp.sum((self.root @ psi) ** 2)
+        return Gap(mean, jnp.sqrt(jnp.maximum(var, 0.0) + (self.errors.spread * mean) ** 2))
 
     def returns(self, T: Trajectories) -> Float[Array, " N"]:
         return sums_of(self.features, T, self.mean)
-
-    def credible(self, T: Trajectories) -> Float[Array, " N"]:
-        """The returns less a σ_g against as many steps of what was judged.
-
-        Where nobody was asked, r̂ is a guess, and a search finds where it guesses too high.
-        """
-        return self.returns(T) - jnp.sqrt(jax.vmap(self.variance_of)(beyond(self.features, T, self.judged)))
 
 
 def summed(features: AdditiveFeatures, tau: Trajectory) -> Float[Array, " D"]:
@@ -174,13 +158,6 @@ def sums_of(features: AdditiveFeatures, T: Trajectories, weights: Float[Array, "
     each = values(features, columns(features, steps_of(T).x), weights).reshape(T.rows.actions.shape[:2])
     sums = jnp.sum(jnp.where(jax.vmap(Trajectory.transitions)(T.rows).mask, each, 0.0), axis=1)
     return jnp.where(T.filled, sums, -jnp.inf)
-
-
-@jax.jit
-def beyond(features: AdditiveFeatures, T: Trajectories, judged: Float[Array, " D"]) -> Float[Array, "N D"]:
-    """Φ(τ) of each trajectory of T less that of as many steps of what was judged."""
-    Phi = clip_sums(features, T, Clip.whole(jnp.arange(T.capacity)), T.rows.actions.shape[1])
-    return Phi - Phi[:, :1] * judged[None]
 
 
 def estimate_additive_reward(
@@ -306,4 +283,4 @@ def additive_reward(T: Trajectories, seen: Evidence, mean, prior, root, errors: 
     high = jnp.max(jnp.where(mask, r, -jnp.inf))
     margin = BOX_MARGIN * (high - low)
     unit = typical_size(r, T)  # the seen range is within the box
-    return AdditiveReward(unit, seen.features, mean, prior, root, low - margin, high + margin, errors, seen.judged)
+    return AdditiveReward(unit, seen.features, mean, prior, root, low - margin, high + margin, errors)
