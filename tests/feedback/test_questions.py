@@ -120,16 +120,6 @@ def test_aligned_questions_are_about_the_newest_and_the_best(T, reward):
     assert pick_clips(T, reward, replace(TELLING, aligned=1.0), key=jr.key(2)).of.tolist() == [9, best]
 
 
-def test_aligned_questions_are_asked_once(T, reward):
-    config = replace(TELLING, aligned=1.0)
-    newest_and_best = pick_clips(T, reward, config, key=jr.key(2))
-    before = jax.tree.map(lambda x: jnp.stack([x[::-1], jnp.full_like(x, -1)]), newest_and_best)
-    picked = [pick_clips(T, reward, config, before=before, key=jr.key(seed)) for seed in range(5)]
-    assert not any(same_pair(clips, newest_and_best) for clips in picked)
-    other = eqx.tree_at(lambda clip: clip.of, before, before.of.at[0, 0].set(3))
-    assert same_pair(pick_clips(T, reward, config, before=other, key=jr.key(2)), newest_and_best)
-
-
 def test_where_two_have_too_little_to_show_others_are_asked_about(T, reward):
     config = replace(TELLING, aligned=1.0, items=4)  # the newest has 7 steps, a clip 11
     for seed in range(3):

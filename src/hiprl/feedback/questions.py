@@ -104,18 +104,11 @@ def pick_clips(
     best = jnp.argmax(jnp.where(older, reward.returns(T), -jnp.inf))
     aligned = _aligned(T, config, T.last, best, key=aligned_key)
     there_are = jnp.any(~twice(aligned.clips_of(aligned.shown)))  # two may not have enough to show
-    if before is not None:
-        there_are &= ~jnp.any(show(before, T.last) & show(before, best))  # once will do: others tell more by now
     asked = jax.tree.map(partial(jnp.where, there_are & jr.bernoulli(kind_key, config.aligned)), aligned, anything)
     worth = information(T, reward, asked, config)
     if before is not None:
         worth = worth - AGAIN * was_asked(asked.clips_of(asked.shown), before)
     return asked.clips_of(asked.shown[jnp.argmax(worth)])
-
-
-def show(asked: Clip, number: Count) -> Bool[Array, " n"]:
-    """Whether the clips in each row show something of this trajectory."""
-    return jnp.any(asked.of == number, axis=1)
 
 
 def was_asked(clips: Clip, before: Clip) -> Bool[Array, " n"]:
