@@ -5,7 +5,7 @@ import pytest
 
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.features import WAVES, by_entry, size_of, waves
+from hiprl.models.features import OWN, WAVES, by_entry, size_of, waves
 from hiprl.models.relevance import SIZE, relevance_of, spread_by
 from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
 from tests.data.samples import answers
@@ -33,20 +33,20 @@ def rng():
 
 def test_the_size_of_a_function_is_its_variance_for_a_standard_normal(rng):
     x = rng.normal(size=200_000)
-    phi = np.stack([x, *map(np.asarray, waves(jnp.asarray(x, jnp.float32)))], axis=1)
+    phi = np.stack([x, x**2, *map(np.asarray, waves(jnp.asarray(x, jnp.float32)))], axis=1)
     for _ in range(5):
-        w = rng.normal(size=1 + WAVES)
+        w = rng.normal(size=OWN + WAVES)
         assert np.sum((w @ SIZE) ** 2) == pytest.approx(np.var(phi @ w), rel=0.03)
 
 
 def test_each_weight_belongs_to_its_entry():
     D = size_of(N)
     entries = np.asarray(by_entry(jnp.arange(D, dtype=jnp.float32)))
-    assert entries[:, 0].tolist() == list(range(1, 1 + N))
+    assert entries[:, 0].tolist() == list(range(1, 1 + N)) and entries[:, 1].tolist() == list(range(1 + N, 1 + 2 * N))
     assert sorted(entries.ravel()) == list(range(1, D))
     spread = spread_by(jnp.ones(D), jnp.arange(1.0, 1 + N))
     assert spread[0] == 1
-    np.testing.assert_array_equal(by_entry(spread), np.tile(np.arange(1.0, 1 + N)[:, None], (1, 1 + WAVES)))
+    np.testing.assert_array_equal(by_entry(spread), np.tile(np.arange(1.0, 1 + N)[:, None], (1, OWN + WAVES)))
 
 
 def test_where_nothing_was_learned_all_are_as_relevant_as_before():

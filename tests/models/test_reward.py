@@ -9,8 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hiprl.data.preference import Preferences
+from hiprl.data.trajectory import Trajectory
+from hiprl.data.trajectory_set import Trajectories
 from hiprl.models import reward as module
-from hiprl.models.features import spectrum
+from hiprl.models.features import BOWED, spectrum
 from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
 from tests.data.samples import answers, clean, p, q
 from tests.models.worlds import linear_set, steps_of
@@ -67,7 +69,7 @@ def long_way(reward, T, pairs, g, config):
     relevance = np.asarray(reward.prior[1 : 1 + n], float)
     relevance /= relevance.mean()
     smooth_part = np.outer(relevance, smooth * spectrum(4.0)).reshape(-1)
-    prior = np.concatenate([[n * (1 + smooth)], relevance, smooth_part])
+    prior = np.concatenate([[n * (1 + smooth)], relevance, smooth * BOWED * relevance, smooth_part])
     gram = (Psi * prior) @ Psi.T
     noise = share * np.trace(gram) / len(g)
     scale = g @ np.linalg.solve(gram + noise * np.eye(len(g)), g) / len(g)
@@ -188,7 +190,7 @@ def test_marginal_likelihood_prefers_what_predicts_better(T, truth):
             said(T, truth), T, AdditiveConfig(smooth=smooth, lengths=(4.0,), noise=(1e-6,))
         )
         miss = np.asarray(reward.returns(new))[:11] - true
-        chosen = float(reward.prior[1 + p + q] / reward.prior[1]) / spectrum(4.0)[0]
+        chosen = float(reward.prior[1 + 2 * (p + q)] / reward.prior[1]) / spectrum(4.0)[0]
         return np.std(miss), chosen
 
     stiff, free, (both, chosen) = error((1e-3,))[0], error((1e3,))[0], error((1e-3, 1e3))
@@ -255,3 +257,32 @@ def test_padding_changes_nothing(uneven):
     for x, y in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
         assert np.isfinite(x).all()
         np.testing.assert_array_equal(x, y)
+
+
+def wanderers(n, *, seed, far):
+    """Trajectories of two entries that wander within 3 of the middle; of the last ones, the first goes as far as 15."""
+    rng, taus = np.random.default_rng(seed), []
+    for i in range(n):
+        start, end = rng.uniform(-3, 3, (2, 2))
+        if i >= n - far:
+            end[0] = rng.uniform(10, 15)
+        states = start + np.linspace(0, 1, 41)[:, None] * (end - start) + 0.1 * rng.normal(size=(41, 2))
+        arrays = (jnp.asarray(x, jnp.float32) for x in (states, rng.uniform(-1, 1, (40, 1)), np.zeros(40)))
+        taus.append(Trajectory(*arrays, jnp.asarray(40, jnp.int32), jnp.asarray(False)))
+    return Trajectories(jax.tree.map(lambda *x: jnp.stack(x), *taus), jnp.asarray(n, jnp.int32))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "left"), [(lambda x: -np.abs(x - 1), 5e-3), (lambda x: -((x - 1) ** 2), 5e-5)], ids=["post", "bowl"]
+)
+def test_what_is_wanted_near_by_is_found_beside_episodes_that_went_far(wanted, left):
+    """A post to stand at is a kink, which needs fine functions where most values lie; a bowl is one from end to end."""
+
+    def unexplained(seed):
+        T, new = wanderers(24, seed=seed, far=6), wanderers(24, seed=seed + 100, far=0)
+        paid = lambda T: wanted(np.asarray(T.rows.states[:, :-1, 0], float)).sum(axis=1)
+        P = answers([(k + 1, k) for k in range(23)], np.diff(paid(T)), capacity=23)
+        reward = estimate_additive_reward(P, T, AdditiveConfig())
+        return 1 - np.corrcoef(np.asarray(reward.returns(new)), paid(new))[0, 1]
+
+    assert np.mean([unexplained(seed) for seed in range(5)]) < left

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import NamedTuple
 
@@ -9,16 +10,20 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Array, Bool, Float, Shaped
 
 from hiprl.data.preference import Clip, Kind, Preferences
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.features import AdditiveFeatures, size_of
+from hiprl.models.features import AdditiveFeatures, Fine, size_of
 from hiprl.models.network import Scaler
-from hiprl.models.sums import Steps, columns, evenly, side_by_side, steps_of, total
+from hiprl.models.sums import Steps, by_row, columns, evenly, side_by_side, steps_of, total
 from hiprl.types import Count
 
 BOX_MARGIN = 0.25  # how far past the seen range a coordinate, and the reward itself, may count
+EDGE = 1.0  # spreads from the middle, past which values count no more than there
+OF_NORMAL = 1 - math.sqrt(2 / (math.e * math.pi))  # variance of a standard normal so cut
+CLOSER = 20  # rounds of finding middle and spread: half of the values may be far away
+LEAST_SPREAD = 0.3  # in standard deviations: where an entry mostly stands still, its other values stay apart
 TOGETHER, PART = 8, 512  # clips, and steps, whose features are made at a time: what stays near the processor
 
 
@@ -31,12 +36,32 @@ def features_of(steps: Steps) -> AdditiveFeatures:
     least = scaler.down(jnp.min(jnp.where(mask[None], x, jnp.inf), axis=1))
     most = scaler.down(jnp.max(jnp.where(mask[None], x, -jnp.inf), axis=1))
     margin = BOX_MARGIN * (most - least)
-    features = AdditiveFeatures(scaler, least - margin, most + margin, jnp.zeros(size_of(x.shape[0]), x.dtype))
     some, there = evenly(mask)  # a mean of many does not need them all
+    low, high, nothing = least - margin, most + margin, jnp.zeros(size_of(x.shape[0]), x.dtype)
+    fine = Fine.of(most_of(by_row(scaler).down(x[:, some]), there), low, high)
+    features = AdditiveFeatures(scaler, low, high, fine, nothing)
     each = lambda x: total(features, columns(features, x[0]), x[1])
     whole = jnp.sum(jax.lax.map(each, (in_parts(x[:, some]), in_parts(there[None])[:, 0])), axis=0)
     centre = (whole / jnp.maximum(whole[0], 1)).at[0].set(0.0)
     return eqx.tree_at(lambda f: f.centre, features, centre)
+
+
+def most_of(x: Float[Array, "n steps"], there: Bool[Array, " steps"]) -> Scaler:
+    """Middle and spread of each row, where values far away count as much as those at the edge of what is usual.
+
+    Source: Huber (1964), proposal 2.
+    """
+    count = jnp.maximum(jnp.sum(there), 1)
+    mean = lambda x: jnp.sum(jnp.where(there[None], x, 0.0), axis=1) / count
+
+    def closer(_: Count, now: Scaler) -> Scaler:
+        edge = jnp.clip(by_row(now).down(x), -EDGE, EDGE)
+        middle = mean(edge)
+        var = mean((edge - middle[:, None]) ** 2) / OF_NORMAL
+        return Scaler(now.mean + now.std * middle, jnp.maximum(now.std * jnp.sqrt(var), LEAST_SPREAD))
+
+    start = Scaler(jnp.zeros(x.shape[0], x.dtype), jnp.ones(x.shape[0], x.dtype))
+    return jax.lax.fori_loop(0, CLOSER, closer, start)
 
 
 def in_parts(x: Shaped[Array, "n steps"]) -> Shaped[Array, "parts n PART"]:
@@ -76,6 +101,8 @@ class Evidence(NamedTuple):
     """Coordinates of all steps that T has room for."""
     Psi: Float[Array, "K J D"]
     """Ψ: the sum of φ over each clip of an answer less that over its last one."""
+    judged: Float[Array, " D"]
+    """Mean of φ over the steps of all clips that were judged."""
 
 
 def evidence(T: Trajectories, P: Preferences, *, longest: int | None = None) -> Evidence:
@@ -90,18 +117,22 @@ def evidence(T: Trajectories, P: Preferences, *, longest: int | None = None) -> 
     """
     every, rated = steps_of(T), longest is None and Kind.RATING in kinds_in(P)
     features, longest = features_of(every), longest or most_steps(P, T)
-    Psi = _differences(features, T, P, steps=longest)
+    Psi, judged = _differences(features, T, P, steps=longest)
     if rated:
         Psi = _with_ratings(features, T, P, Psi, longest=longest)
-    return Evidence(features, columns(features, every.x), Psi)
+    return Evidence(features, columns(features, every.x), Psi, judged)
 
 
 @partial(jax.jit, static_argnames=("steps",))
-def _differences(features: AdditiveFeatures, T: Trajectories, P: Preferences, *, steps: int) -> Float[Array, "K J D"]:
+def _differences(
+    features: AdditiveFeatures, T: Trajectories, P: Preferences, *, steps: int
+) -> tuple[Float[Array, "K J D"], Float[Array, " D"]]:
     Phi = clip_sums(features, T, jax.tree.map(lambda x: x.reshape(-1), P.clips), steps).reshape(*P.clips.of.shape, -1)
     last = jnp.take_along_axis(Phi, jnp.maximum(P.said.items - 1, 0)[:, None, None], axis=1)
     used = P.filled[:, None] & (jnp.arange(P.m - 1)[None] < P.said.items[:, None] - 1)
-    return jnp.where(used[..., None], Phi[:, :-1] - last, 0.0)
+    whole = jnp.sum(jnp.where(P.filled[:, None, None], Phi, 0.0), axis=(0, 1))
+    judged = (whole / jnp.maximum(whole[0], 1)).at[0].set(1.0)  # the bias counts steps
+    return jnp.where(used[..., None], Phi[:, :-1] - last, 0.0), judged
 
 
 def kinds_in(P: Preferences) -> set[Kind]:

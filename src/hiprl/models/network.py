@@ -56,10 +56,10 @@ STILL = 1e-2  # of the spread of states: the unit of a step that is always 0
 
 
 class Scaler(eqx.Module):
-    """Maps a vector to zero mean and unit spread, and back."""
+    """Maps a vector to zero mean and unit spread, and back; or many, whatever fits to mean and spread."""
 
-    mean: Float[Array, " n"]
-    std: Float[Array, " n"]
+    mean: Float[Array, " *n"]
+    std: Float[Array, " *n"]
 
     @property
     def size(self) -> int:
@@ -74,11 +74,11 @@ class Scaler(eqx.Module):
         std = jnp.sqrt(var)
         return cls(mean, jnp.where(std > CONSTANT * jnp.abs(mean), std, 1.0))
 
-    def down(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
+    def down(self, x: Float[Array, " *n"]) -> Float[Array, " *n"]:
         """To standard units."""
         return (x - self.mean) / self.std
 
-    def up(self, z: Float[Array, " n"]) -> Float[Array, " n"]:
+    def up(self, z: Float[Array, " *n"]) -> Float[Array, " *n"]:
         """To the units of the data."""
         return z * self.std + self.mean
 

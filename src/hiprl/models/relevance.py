@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hiprl.models.features import FREQUENCIES, INSIDE, REACH, WAVES, by_entry
+from hiprl.models.features import FREQUENCIES, INSIDE, OWN, REACH, WAVES, by_entry
 
 OF_NUMBERS, OF_ANSWERS = 0.2, 0.7
 """Degrees of freedom of the prior: the fewer, the more an entry may stand out or fall silent. A few numbers say so
@@ -24,9 +24,9 @@ def _size() -> Float[np.ndarray, "m m"]:
     """C with |wᵀC|² the variance of x ↦ wᵀφ(x) for a standard normal x."""
     x, p = np.polynomial.hermite_e.hermegauss(80)
     angle = np.clip(x, -INSIDE, INSIDE)[:, None] + REACH
-    phi = np.concatenate([x[:, None], np.sin(FREQUENCIES * angle) / np.sqrt(REACH)], axis=1)
+    phi = np.concatenate([x[:, None], x[:, None] ** 2, np.sin(FREQUENCIES * angle) / np.sqrt(REACH)], axis=1)
     phi = phi - (p / p.sum()) @ phi
-    return np.linalg.cholesky((phi * (p / p.sum())[:, None]).T @ phi + 1e-9 * np.eye(1 + WAVES))
+    return np.linalg.cholesky((phi * (p / p.sum())[:, None]).T @ phi + 1e-9 * np.eye(OWN + WAVES))
 
 
 SIZE = _size()
@@ -34,7 +34,7 @@ SIZE = _size()
 
 def spread_by(prior: Float[Array, "*n D"], relevance: Float[Array, " entries"]) -> Float[Array, "*n D"]:
     """The prior variance of θ where that of each entry is so many times as large."""
-    factors = jnp.concatenate([jnp.ones(1, prior.dtype), relevance, jnp.repeat(relevance, WAVES)])
+    factors = jnp.concatenate([jnp.ones(1, prior.dtype), relevance, relevance, jnp.repeat(relevance, WAVES)])
     return prior * jnp.broadcast_to(factors, prior.shape)
 
 

@@ -6,8 +6,9 @@ fast: the steps are the innermost axis, and features are never written out.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -15,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.features import AdditiveFeatures, by_entry, functions, waves
 
+Scale = TypeVar("Scale", bound=eqx.Module)
 MANY = 4096  # steps over which a mean or a median is taken where there are more
 
 
@@ -57,7 +59,7 @@ def evenly(mask: Bool[Array, " steps"], most: int = MANY) -> tuple[Int[Array, " 
 @jax.jit
 def columns(features: AdditiveFeatures, x: Float[Array, "n steps"]) -> Float[Array, "n steps"]:
     """Coordinates of steps, each coordinate a row."""
-    z = (x - features.scaler.mean[:, None]) / features.scaler.std[:, None]
+    z = by_row(features.scaler).down(x)
     return jax.lax.optimization_barrier(jnp.clip(z, features.low[:, None], features.high[:, None]))
 
 
@@ -66,9 +68,14 @@ def terms(features: AdditiveFeatures, X: Float[Array, "n steps"]) -> list[Float[
 
     The means go before anything is added up: float32 has few digits to spare.
     """
-    flat, centres = X.reshape(-1), by_entry(features.centre)
-    raw = [flat, *waves(flat)]
+    centres = by_entry(features.centre)
+    raw = [X, X**2, *waves(by_row(features.fine)(X).reshape(-1))]
     return [x.reshape(X.shape) - centres[:, m, None] for m, x in enumerate(raw)]
+
+
+def by_row(scale: Scale) -> Scale:
+    """The same for values of which each entry is a row."""
+    return jax.tree.map(lambda x: x[:, None], scale)
 
 
 def values(
@@ -77,12 +84,13 @@ def values(
     """φᵀ weights at each step."""
     of = by_entry(weights)
     # the means go before anything is added up, as in `terms`
-    each = functions(X, of.T[..., None]) - jnp.sum(of * by_entry(features.centre), axis=1)[:, None]
+    middle = jnp.sum(of * by_entry(features.centre), axis=1)[:, None]
+    each = functions(X, by_row(features.fine), of.T[..., None]) - middle
     return weights[0] + jnp.ones(X.shape[0], X.dtype) @ each
 
 
 def total(features: AdditiveFeatures, X: Float[Array, "n steps"], shown: Bool[Array, " steps"]) -> Float[Array, " D"]:
     """Sum of φ over the steps shown. Best a clip at a time, whose waves stay near the processor."""
     one = jnp.where(shown, 1.0, 0.0).astype(X.dtype)
-    linear, *smooth = (jnp.where(shown[None], term, 0.0) @ one for term in terms(features, X))
-    return jnp.concatenate([jnp.sum(one)[None], linear, jnp.stack(smooth, axis=1).reshape(-1)])
+    straight, square, *smooth = (jnp.where(shown[None], term, 0.0) @ one for term in terms(features, X))
+    return jnp.concatenate([jnp.sum(one)[None], straight, square, jnp.stack(smooth, axis=1).reshape(-1)])
