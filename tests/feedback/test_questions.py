@@ -115,30 +115,6 @@ def test_what_is_known_of_a_question_is_what_the_reward_says_of_its_clips(T, rew
         assert worth[i] == pytest.approx(np.log(reward.gap(first, second).sigma), abs=1e-2)
 
 
-def test_chances_are_how_often_a_trajectory_is_the_best_over_the_belief(T, reward):
-    chance = np.asarray(questions.chances(T, reward, key=jr.key(3)), float)
-    assert chance.sum() == pytest.approx(1) and (chance[10:] == 0).all() and (chance > 0).sum() > 2
-    Phi = np.asarray(questions.phi_of(T, reward.features, Clip.whole(jnp.arange(N)), QuestionConfig()), float)[:10]
-    root, prior = (np.asarray(x, float) for x in (reward.root, reward.prior))
-    C = (Phi * prior) @ Phi.T - (Phi @ root.T) @ (Phi @ root.T).T
-    rng = np.random.default_rng(0)
-    returns = rng.multivariate_normal(Phi @ np.asarray(reward.mean, float), C, size=20_000)
-    wanted = np.bincount(returns.argmax(axis=1), minlength=N) / len(returns)
-    np.testing.assert_allclose(chance, wanted, atol=4 * 0.5 / np.sqrt(questions.DRAWS))
-
-
-def test_questions_are_about_what_may_be_the_best(T, reward, monkeypatch):
-    two = jnp.zeros(N).at[jnp.array([2, 6])].set(0.5)
-    monkeypatch.setattr(questions, "chances", lambda T, reward, *, key: two)
-    pick = pick_clips.__wrapped__  # not as it was compiled
-    for seed in range(3):
-        assert set(pick(T, reward, TELLING, key=jr.key(seed)).of.tolist()) <= {2, 6}
-    of = pick(T, reward, replace(TELLING, clip=None), key=jr.key(0)).of.tolist()
-    assert set(of) == {2, 6}
-    others = pick(T, reward, replace(TELLING, clip=None), before=Clip.whole(jnp.array([[6, 2]])), key=jr.key(0))
-    assert set(others.of.tolist()) != {2, 6} and len(set(others.of.tolist())) == 2  # there is nothing else about these
-
-
 def test_aligned_questions_are_about_the_newest_and_the_best(T, reward):
     best = int(np.argmax(np.asarray(reward.returns(T))[:9]))
     assert pick_clips(T, reward, replace(TELLING, aligned=1.0), key=jr.key(2)).of.tolist() == [9, best]

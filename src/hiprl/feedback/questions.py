@@ -1,4 +1,4 @@
-"""Which clips to ask about: of what may be the best, those whose answer is expected to tell most; or any."""
+"""Which clips to ask about: those whose answer is expected to tell most, or any."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ Pick: TypeAlias = Literal["uniform", "information"]
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
 """Of the expectation over a standard normal."""
 POOL = 512  # clips of which questions are made: 130,000 pairs
-DRAWS = 128  # of r̂, for each of which one trajectory is the best
 AGAIN = 1e6  # nats that a question is worth less which was asked before: it is the last resort
 
 
@@ -35,8 +34,7 @@ class QuestionConfig:
     clip: int | None = None
     """Steps of a clip; None for whole trajectories (the paper)."""
     pick: Pick = "uniform"
-    """`uniform`: the newest trajectory and any older ones (the paper). `information`: what is expected to tell most,
-    about what may be the best."""
+    """`uniform`: the newest trajectory and any older ones (the paper). `information`: what is expected to tell most."""
     items: int = 2
     """Clips in a question: 2 to compare, 1 to rate, more to rank."""
     levels: int | None = None
@@ -96,44 +94,21 @@ def pick_clips(
         config: what is asked.
         before: what questions have shown, a row each, not to be asked again while anything else tells something.
 
-    Source: HIP-RL Algorithm 1 (τ ~ T) for `uniform`; expected information (BALD), Houlsby et al. (2011), about pairs
-    drawn as in Wu and Liu (2016), double Thompson sampling.
+    Source: HIP-RL Algorithm 1 (τ ~ T) for `uniform`; expected information (BALD), Houlsby et al. (2011).
     """
     if config.pick == "uniform" or not isinstance(reward, AdditiveReward):
         return _uniform(T, config, key=key)
-    any_key, good_key, aligned_key, kind_key, best_key = jr.split(key, 5)
+    draw_key, aligned_key, kind_key = jr.split(key, 3)
+    anything = drawn(T, config, key=draw_key)
     older = T.real & (jnp.arange(T.capacity) < T.last)
     best = jnp.argmax(jnp.where(older, reward.returns(T), -jnp.inf))
     aligned = _aligned(T, config, T.last, best, key=aligned_key)
-    promising = drawn(T, config, chances(T, reward, key=best_key), key=good_key)
-
-    def is_new(asked: Questions) -> Bool[Array, " n"]:
-        clips = asked.clips_of(asked.shown)
-        return ~twice(clips) if before is None else ~twice(clips) & ~was_asked(clips, before)
-
-    def rather(first: Questions, second: Questions) -> Questions:
-        """The first, if there is anything new among them: a trajectory or two may not have enough to show."""
-        return jax.tree.map(partial(jnp.where, jnp.any(is_new(first))), first, second)
-
-    anything = rather(promising, drawn(T, config, key=any_key))
-    by_turns = jr.bernoulli(kind_key, config.aligned)
-    asked = jax.tree.map(partial(jnp.where, by_turns), rather(aligned, anything), anything)
-    worth = information(T, reward, asked, config) - AGAIN * ~is_new(asked)
+    there_are = jnp.any(~twice(aligned.clips_of(aligned.shown)))  # two may not have enough to show
+    asked = jax.tree.map(partial(jnp.where, there_are & jr.bernoulli(kind_key, config.aligned)), aligned, anything)
+    worth = information(T, reward, asked, config)
+    if before is not None:
+        worth = worth - AGAIN * was_asked(asked.clips_of(asked.shown), before)
     return asked.clips_of(asked.shown[jnp.argmax(worth)])
-
-
-def chances(T: Trajectories, reward: AdditiveReward, *, key: Key) -> Float[Array, " N"]:
-    """The chance of each trajectory to be the best one, in so many draws from the posterior of r̂.
-
-    How much worse the rest is does not have to be known, however little is known of it.
-    """
-    Phi = clip_sums(reward.features, T, Clip.whole(jnp.arange(T.capacity)), T.rows.actions.shape[1])
-    Phi = without_mean(Phi, T.filled)
-    half = Phi @ reward.root.T
-    level, axes = jnp.linalg.eigh((Phi * reward.prior[None]) @ Phi.T - half @ half.T)
-    apart = (axes * jnp.sqrt(jnp.maximum(level, 0.0))[None]) @ jr.normal(key, (T.capacity, DRAWS))
-    returns = jnp.where(T.filled[:, None], (Phi @ reward.mean)[:, None] + apart, -jnp.inf)
-    return jnp.zeros(T.capacity).at[jnp.argmax(returns, axis=0)].add(1 / DRAWS)
 
 
 def was_asked(clips: Clip, before: Clip) -> Bool[Array, " n"]:
@@ -151,13 +126,13 @@ def _uniform(T: Trajectories, config: QuestionConfig, *, key: Key) -> Clip:
     return _started(T, jnp.append(T.last, older), config, key=start_key)
 
 
-def drawn(T: Trajectories, config: QuestionConfig, chance: Float[Array, " N"] | None = None, *, key: Key) -> Questions:
-    """Questions about trajectories that are drawn with these chances; about any if None."""
+def drawn(T: Trajectories, config: QuestionConfig, *, key: Key) -> Questions:
+    """Questions about any trajectories."""
     of_key, start_key, shown_key = jr.split(key, 3)
-    size, log_chance = (config.candidates, config.items), jnp.log(T.filled if chance is None else chance)
+    size = config.candidates, config.items
     if config.clip is None:
-        return Questions(Clip.whole(jnp.arange(T.capacity)), jr.categorical(shown_key, log_chance, shape=size))
-    pool = _started(T, jr.categorical(of_key, log_chance, shape=(POOL,)), config, key=start_key)
+        return Questions(Clip.whole(jnp.arange(T.capacity)), jr.randint(shown_key, size, 0, T.count))
+    pool = _started(T, jr.randint(of_key, (POOL,), 0, T.count), config, key=start_key)
     return Questions(pool, jr.randint(shown_key, size, 0, POOL))
 
 
@@ -232,16 +207,11 @@ def answers_given(u: Scalar, cuts: Float[Array, " levels_less_1"], kappa: Scalar
 
 
 def phi_of(T: Trajectories, features: AdditiveFeatures, clips: Clip, config: QuestionConfig) -> Float[Array, "clips D"]:
-    """Sum of φ over each clip, less their mean."""
+    """Sum of φ over each clip, less their mean, which says nothing of a difference and would take float32's digits."""
     H = T.rows.actions.shape[1]
     Phi = clip_sums(features, T, clips, H if config.clip is None else min(config.clip, H))
-    return without_mean(Phi, T.filled[clips.of])
-
-
-def without_mean(Phi: Float[Array, "n D"], there: Bool[Array, " n"]) -> Float[Array, "n D"]:
-    """Less the mean of the rows there are, which says nothing of a difference and would take float32's digits."""
-    mean = jnp.sum(jnp.where(there[:, None], Phi, 0.0), axis=0) / jnp.maximum(jnp.sum(there), 1)
-    return Phi - mean[None]
+    there = T.filled[clips.of][:, None]
+    return Phi - jnp.sum(jnp.where(there, Phi, 0.0), axis=0, keepdims=True) / jnp.maximum(jnp.sum(there), 1)
 
 
 def apart(x: Float[Array, "..."], shown: Int[Array, "n items"]) -> Float[Array, "n items_less_1 ..."]:
