@@ -23,7 +23,7 @@ BOX_MARGIN = 0.25  # how far past the seen range a coordinate, and the reward it
 EDGE = 1.0  # spreads from the middle, past which values count no more than there
 OF_NORMAL = 1 - math.sqrt(2 / (math.e * math.pi))  # variance of a standard normal so cut
 CLOSER = 20  # rounds of finding middle and spread: half of the values may be far away
-LEAST_SPREAD = 0.3  # in standard deviations: where an entry mostly stands still, its other values stay apart
+LEAST_SPREAD = 0.3  # in standard deviations: an entry that mostly stands still is not taken to pieces there
 TOGETHER, PART = 8, 512  # clips, and steps, whose features are made at a time: what stays near the processor
 
 
@@ -101,8 +101,6 @@ class Evidence(NamedTuple):
     """Coordinates of all steps that T has room for."""
     Psi: Float[Array, "K J D"]
     """Ψ: the sum of φ over each clip of an answer less that over its last one."""
-    judged: Float[Array, " D"]
-    """Mean of φ over the steps of all clips that were judged."""
 
 
 def evidence(T: Trajectories, P: Preferences, *, longest: int | None = None) -> Evidence:
@@ -117,22 +115,18 @@ def evidence(T: Trajectories, P: Preferences, *, longest: int | None = None) -> 
     """
     every, rated = steps_of(T), longest is None and Kind.RATING in kinds_in(P)
     features, longest = features_of(every), longest or most_steps(P, T)
-    Psi, judged = _differences(features, T, P, steps=longest)
+    Psi = _differences(features, T, P, steps=longest)
     if rated:
         Psi = _with_ratings(features, T, P, Psi, longest=longest)
-    return Evidence(features, columns(features, every.x), Psi, judged)
+    return Evidence(features, columns(features, every.x), Psi)
 
 
 @partial(jax.jit, static_argnames=("steps",))
-def _differences(
-    features: AdditiveFeatures, T: Trajectories, P: Preferences, *, steps: int
-) -> tuple[Float[Array, "K J D"], Float[Array, " D"]]:
+def _differences(features: AdditiveFeatures, T: Trajectories, P: Preferences, *, steps: int) -> Float[Array, "K J D"]:
     Phi = clip_sums(features, T, jax.tree.map(lambda x: x.reshape(-1), P.clips), steps).reshape(*P.clips.of.shape, -1)
     last = jnp.take_along_axis(Phi, jnp.maximum(P.said.items - 1, 0)[:, None, None], axis=1)
     used = P.filled[:, None] & (jnp.arange(P.m - 1)[None] < P.said.items[:, None] - 1)
-    whole = jnp.sum(jnp.where(P.filled[:, None, None], Phi, 0.0), axis=(0, 1))
-    judged = (whole / jnp.maximum(whole[0], 1)).at[0].set(1.0)  # the bias counts steps
-    return jnp.where(used[..., None], Phi[:, :-1] - last, 0.0), judged
+    return jnp.where(used[..., None], Phi[:, :-1] - last, 0.0)
 
 
 def kinds_in(P: Preferences) -> set[Kind]:

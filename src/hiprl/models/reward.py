@@ -62,9 +62,9 @@ class AdditiveConfig:
     """How the closed-form reward is estimated."""
 
     smooth: tuple[float, ...] = (0.01, 0.1, 1.0, 10.0, 100.0)
-    """Candidates for the variance of the smooth part over that of the linear part."""
+    """Candidates for the variance of the smooth part, and with it of the square, over that of the linear part."""
     lengths: tuple[float, ...] = (4.0, 1.0, 0.5)
-    """Candidates for the lengthscale of the smooth part, in standard deviations of what was seen."""
+    """Candidates for the lengthscale of the smooth part, in standard deviations of most of what was seen."""
     noise: tuple[float, ...] = (1e-6, 1e-4, 1e-2)
     """Candidates for the variance of an answer's error, over the variance that the prior gives an answer; where all
     answers are numbers."""

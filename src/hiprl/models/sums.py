@@ -64,7 +64,7 @@ def columns(features: AdditiveFeatures, x: Float[Array, "n steps"]) -> Float[Arr
 
 
 def terms(features: AdditiveFeatures, X: Float[Array, "n steps"]) -> list[Float[Array, "n steps"]]:
-    """φ but for the bias: the coordinates themselves and their waves by frequency, each with mean 0.
+    """φ but for the bias: the coordinates themselves, their squares and their waves by frequency, each with mean 0.
 
     The means go before anything is added up: float32 has few digits to spare.
     """
