@@ -178,7 +178,7 @@ class Preferences(eqx.Module):
 
     def only_numbers(self) -> bool:
         """Whether every answer is a number. Looks at the values, so not to be traced."""
-        return not bool(jnp.any(self.filled & (self.said.kind != Kind.NUMBER)))
+        return not np.any(np.asarray(self.said.kind)[: int(self.count)] != Kind.NUMBER)
 
     def only(self, rows: np.ndarray) -> Preferences:
         """P with these answers alone, in a P of the same room."""

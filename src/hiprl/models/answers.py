@@ -31,7 +31,6 @@ from hiprl.models.reward import (
     additive_reward,
     believed,
 )
-from hiprl.models.sums import values
 from hiprl.models.units import lengths_of, units
 from hiprl.models.variational import Answers, Belief, begun, improved, left_out, posterior_of, thin, unknown
 from hiprl.types import Count, Scalar
@@ -170,10 +169,9 @@ def estimate_from_answers(
 
     Source: HIP-RL eq. (7); `hiprl.models.variational`.
     """
-    seen = evidence(T, P)
     kinds = kinds_in(P)
-    levels = P.filled & (P.said.kind != Kind.NUMBER) & jnp.isfinite(P.said.low) & jnp.isfinite(P.said.high)
-    kappas = KAPPAS if bool(jnp.any(levels & (P.said.kind != Kind.RANKING))) else (KAPPA,)
+    kappas = KAPPAS if _two_bounds(P) else (KAPPA,)
+    seen = evidence(T, P)
     entries = seen.features.low.shape[0] + 1
     variance, length = np.asarray(kernels).T
     log_prior = believed(kernels) - BENT * np.log10(variance / variance.min())
@@ -209,6 +207,12 @@ def estimate_from_answers(
     if numbers:
         errors = errors._replace(spread=jnp.zeros(()))  # a number has a unit of its own
     return additive_reward(T, seen, *posterior, errors)
+
+
+def _two_bounds(P: Preferences) -> bool:
+    """Whether any answer says of a difference that it is between two others. Not to be traced."""
+    kind, low, high = (np.asarray(x)[: int(P.count)] for x in (P.said.kind, P.said.low, P.said.high))
+    return bool(np.any((kind != Kind.NUMBER) & (kind != Kind.RANKING) & np.isfinite(low) & np.isfinite(high)))
 
 
 @jax.jit
@@ -320,7 +324,7 @@ def _search(
         A, given = in_units(found.at, found.under, before)
         mean = prior * (flat.T @ (weight * found.belief.dual))  # but for the unit of numbers, which changes no ratio
         root = ((posterior_of(A, given, found.belief).root * weight[None]) @ flat) * prior[None]
-        r = values(seen.features, seen.X, mean.astype(seen.X.dtype)).reshape(mask.shape)
+        r = seen.values(mean.astype(seen.X.dtype)).reshape(mask.shape)
         now = units(r, T, P, lengths, jnp.maximum(P.count - 1, 0)).astype(unit.dtype)
         relevant = relevance_of(mean, prior, root, relevance, freedom=OF_ANSWERS)
         wrong = erring(A, given, found.belief) if learn_mistakes else mistakes

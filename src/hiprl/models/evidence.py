@@ -14,9 +14,9 @@ from jaxtyping import Array, Bool, Float, Shaped
 
 from hiprl.data.preference import Clip, Kind, Preferences
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.features import AdditiveFeatures, Fine, size_of
+from hiprl.models.features import AdditiveFeatures, Fine, by_entry, by_turn, size_of
 from hiprl.models.network import Scaler
-from hiprl.models.sums import Steps, by_row, columns, evenly, side_by_side, steps_of, total
+from hiprl.models.sums import Steps, added_up, by_row, columns, evenly, side_by_side, steps_of, total, turns
 from hiprl.types import Count
 
 BOX_MARGIN = 0.25  # how far past the seen range a coordinate, and the reward itself, may count
@@ -88,7 +88,7 @@ def clip_sums(features: AdditiveFeatures, T: Trajectories, clips: Clip, steps: i
 def most_steps(P: Preferences, T: Trajectories) -> int:
     """Steps of the longest clip in P, rounded up so that few programs serve all. Not to be traced."""
     H = T.rows.actions.shape[1]
-    longest = int(jnp.max(jnp.where(P.filled[:, None], P.clips.length, 1), initial=1))
+    longest = int(np.max(np.asarray(P.clips.length)[: int(P.count)], initial=1))
     part = 1 << max(0, (longest - 1).bit_length() - 3)  # an eighth of the next power of two
     return min(H, -(-longest // part) * part)
 
@@ -99,8 +99,14 @@ class Evidence(NamedTuple):
     features: AdditiveFeatures
     X: Float[Array, "n steps"]
     """Coordinates of all steps that T has room for."""
+    turns: Float[Array, "n steps"]
+    """Of the waves there."""
     Psi: Float[Array, "K J D"]
     """Ψ: the sum of φ over each clip of an answer less that over its last one."""
+
+    def values(self, weights: Float[Array, " D"]) -> Float[Array, " steps"]:
+        """φᵀ weights at each step."""
+        return added_up(self.features, by_turn(self.X, self.turns, by_entry(weights).T[..., None]), weights)
 
 
 def evidence(T: Trajectories, P: Preferences, *, longest: int | None = None) -> Evidence:
@@ -118,7 +124,8 @@ def evidence(T: Trajectories, P: Preferences, *, longest: int | None = None) -> 
     Psi = _differences(features, T, P, steps=longest)
     if rated:
         Psi = _with_ratings(features, T, P, Psi, longest=longest)
-    return Evidence(features, columns(features, every.x), Psi)
+    X = columns(features, every.x)
+    return Evidence(features, X, turns(features, X), Psi)
 
 
 @partial(jax.jit, static_argnames=("steps",))

@@ -32,7 +32,8 @@ LEAST = 1e-9  # prior variance of a wave: as good as none, and a number that flo
 OWN = 2  # features of a coordinate besides its waves: itself and its square
 BOWED = 1 / (2 * 4.0**4)  # prior variance of the square's weight over that of the smooth part: as at a lengthscale of 4
 SERIES = 6  # terms of a sine's series past the first
-FREQUENCIES = math.pi * np.arange(1, WAVES + 1) / (2 * REACH)
+RATE = math.pi / (2 * REACH)  # of the first wave, in radians
+FREQUENCIES = RATE * np.arange(1, WAVES + 1)
 """Of the waves, in radians."""
 
 
@@ -161,7 +162,7 @@ def raw_features(x: Float[Array, " n"], z: Float[Array, " n"]) -> Float[Array, "
 
 def waves(z: Float[Array, " n"]) -> list[Float[Array, " n"]]:
     """sin(j π (z + L) / 2L) / √L for j = 1, 2, … with L = `REACH`, each from the two before."""
-    sine = sine_of(math.pi / (2 * REACH) * jnp.clip(z, -INSIDE, INSIDE))  # of the angle less a right one
+    sine = turn_of(z)
     wave, twice = jnp.sqrt(1 - sine**2) / math.sqrt(REACH), -2 * sine
     found = [wave, twice * wave]
     for _ in range(WAVES - 2):
@@ -181,17 +182,32 @@ def functions(x: Float[Array, "..."], fine: Fine, weights: Float[Array, "..."]) 
 def _value_and_slope(
     fine: Fine, weights: Float[Array, "..."], x: Float[Array, "..."]
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    rate, size = math.pi / (2 * REACH), 1 / math.sqrt(REACH)
     z = fine(x)
-    sine = sine_of(rate * jnp.clip(z, -INSIDE, INSIDE))  # of the angle less a right one, as in `waves`
-    cosine, twice = jnp.sqrt(1 - sine**2), -2 * sine
-    value, before, slope, slope_before = (jnp.zeros_like(x) for _ in range(4))
-    for j in range(WAVES, 0, -1):
-        value, before = weights[OWN - 1 + j] + twice * value - before, value
-        slope, slope_before = j * weights[OWN - 1 + j] + twice * slope - slope_before, slope
-    turn = jnp.where(jnp.abs(z) < INSIDE, slope * sine + slope_before, 0.0) * fine.slope(x)
-    straight, bowed = weights[0], weights[1] * x
-    return (straight + bowed) * x + size * cosine * value, straight + 2 * bowed - size * rate * turn
+    sine = turn_of(z)
+    slope, before = _clenshaw(sine, [j * weights[OWN - 1 + j] for j in range(1, WAVES + 1)])
+    turn = jnp.where(jnp.abs(z) < INSIDE, slope * sine + before, 0.0) * fine.slope(x)
+    return by_turn(x, sine, weights), weights[0] + 2 * weights[1] * x - RATE / math.sqrt(REACH) * turn
+
+
+def by_turn(x: Float[Array, "..."], sine: Float[Array, "..."], weights: Float[Array, "..."]) -> Float[Array, "..."]:
+    """What each x counts for, as `functions` has it, where what `turn_of` gives is known already."""
+    value, _ = _clenshaw(sine, [weights[OWN - 1 + j] for j in range(1, WAVES + 1)])
+    return (weights[0] + weights[1] * x) * x + 1 / math.sqrt(REACH) * jnp.sqrt(1 - sine**2) * value
+
+
+def _clenshaw(
+    sine: Float[Array, "..."], weights: list[Float[Array, "..."]]
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Of the waves with these weights, over their first one, and the same from the second on."""
+    value, before, twice = jnp.zeros_like(sine), jnp.zeros_like(sine), -2 * sine
+    for weight in reversed(weights):
+        value, before = weight + twice * value - before, value
+    return value, before
+
+
+def turn_of(z: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Sine of the angle of the waves at z less a right one: all that they depend on."""
+    return sine_of(RATE * jnp.clip(z, -INSIDE, INSIDE))
 
 
 def sine_of(x: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -16,7 +16,6 @@ from hiprl.models.estimate import RewardConfig, estimate_reward
 from hiprl.models.evidence import Evidence, evidence
 from hiprl.models.likelihood import Noise, log_likelihood
 from hiprl.models.reward import JUDGES, AdditiveReward
-from hiprl.models.sums import values
 from hiprl.models.units import lengths_of, spreads, units
 from hiprl.types import Scalar
 
@@ -83,7 +82,7 @@ def _predicted(P: Preferences, T: Trajectories, reward: AdditiveReward, seen: Ev
     count = jnp.maximum(jnp.sum(numbers), 1)
     size = jnp.sqrt(jnp.sum(jnp.where(numbers, P.g**2, 0.0)) / count)
     size = jnp.where(size > 0, size, 1.0)
-    r = values(seen.features, seen.X, reward.mean).reshape(T.rows.actions.shape[:2])
+    r = seen.values(reward.mean).reshape(T.rows.actions.shape[:2])
     knows = reward.errors.kappa < 1  # what a whole scale is; a reward of numbers alone takes the spread of r̂ for it
     whole = jnp.maximum(spreads(r, T, P, lengths)[newest], TINY)
     scale = jnp.where(knows, reward.errors.scale, 1 / whole) / units(r, T, P, lengths, newest)

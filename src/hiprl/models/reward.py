@@ -277,7 +277,7 @@ def _settled(
 @jax.jit
 def additive_reward(T: Trajectories, seen: Evidence, mean, prior, root, errors: Errors) -> AdditiveReward:
     """The posterior with the range of r̂ over the executed steps of T."""
-    r, T = values(seen.features, seen.X, mean), T.executed()
+    r, T = seen.values(mean), T.executed()
     mask = T.transitions().mask
     low = jnp.min(jnp.where(mask, r, jnp.inf))
     high = jnp.max(jnp.where(mask, r, -jnp.inf))

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from hiprl.data.trajectory_set import Trajectories
-from hiprl.models.features import AdditiveFeatures, by_entry, functions, waves
+from hiprl.models.features import AdditiveFeatures, by_entry, functions, turn_of, waves
 
 Scale = TypeVar("Scale", bound=eqx.Module)
 MANY = 4096  # steps over which a mean or a median is taken where there are more
@@ -82,11 +82,22 @@ def values(
     features: AdditiveFeatures, X: Float[Array, "n steps"], weights: Float[Array, " D"]
 ) -> Float[Array, " steps"]:
     """φᵀ weights at each step."""
-    of = by_entry(weights)
+    return added_up(features, functions(X, by_row(features.fine), by_entry(weights).T[..., None]), weights)
+
+
+def added_up(
+    features: AdditiveFeatures, each: Float[Array, "n steps"], weights: Float[Array, " D"]
+) -> Float[Array, " steps"]:
+    """φᵀ weights from the function of each coordinate."""
     # the means go before anything is added up, as in `terms`
-    middle = jnp.sum(of * by_entry(features.centre), axis=1)[:, None]
-    each = functions(X, by_row(features.fine), of.T[..., None]) - middle
-    return weights[0] + jnp.ones(X.shape[0], X.dtype) @ each
+    middle = jnp.sum(by_entry(weights) * by_entry(features.centre), axis=1)[:, None]
+    return weights[0] + jnp.ones(each.shape[0], each.dtype) @ (each - middle)
+
+
+@jax.jit
+def turns(features: AdditiveFeatures, X: Float[Array, "n steps"]) -> Float[Array, "n steps"]:
+    """Of the waves at each coordinate: all of `values` that does not depend on the weights, and half of its time."""
+    return turn_of(by_row(features.fine)(X))
 
 
 def total(features: AdditiveFeatures, X: Float[Array, "n steps"], shown: Bool[Array, " steps"]) -> Float[Array, " D"]:

@@ -266,12 +266,10 @@ def left_out(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Scalar:
 
 def posterior_of(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Posterior:
     """The belief in the form in which it is kept."""
-    K, rows = A @ A.T, belief.W.shape[0]
-    n = len(K)
+    K = A @ A.T
     level, axes = jnp.linalg.eigh(belief.W)  # no Cholesky factor: rounding can leave a level below zero
     V = jnp.where(given.filled[:, None, None], axes * jnp.sqrt(jnp.maximum(level, 0.0))[:, None], 0.0)  # VVᵀ = W
-    # of the block diagonal matrix of V's blocks
-    wide = jnp.einsum("rij,rs->risj", V, jnp.eye(rows, dtype=A.dtype)).reshape(n, n)
-    L = jnp.linalg.cholesky(jnp.eye(n, dtype=A.dtype) + wide.T @ K @ wide)
-    root = jax.scipy.linalg.solve_triangular(L, wide.T, lower=True)
+    turned, eye = V.swapaxes(1, 2), jnp.eye(len(K), dtype=A.dtype)
+    L = jnp.linalg.cholesky(eye + by_block(turned, by_block(turned, K).T))  # of I + VᵀKV
+    root = jax.scipy.linalg.solve_triangular(L, by_block(turned, eye), lower=True)
     return Posterior(belief.dual, K @ belief.dual, root, belief.evidence)
