@@ -6,10 +6,12 @@ Needs Playwright (in hiprl's extra `dev`) and a Chromium of the system. Nothing 
 from __future__ import annotations
 
 import argparse
+import json
 import re
 from pathlib import Path
 
 from benchmarks.clicker import chromium, started
+from hiprl.store.store import open_store
 
 SIZES = {"": (1180, 860), "-phone": (390, 844)}
 PAGES = {"teach": "/runs/{}/teach", "review": "/runs/{}/review", "progress": "/runs/{}", "runs": "/"}
@@ -23,12 +25,14 @@ def main() -> None:
     made.add_argument("--store", required=True, help="where the run is kept")
     made.add_argument("--out", type=Path, default=Path("docs"), help="folder for the pictures")
     options = made.parse_args()
+    with open_store(options.store, create=False) as store:
+        judge = next((answer.judge for answer in store.answers(store.find_run(options.run).id)), "me")
     with started("serve", "--store", options.store, "--port", "8700") as page, chromium() as browser:
         home = re.match(r"http://[^/]+", page.address)[0]
         context = browser.new_context()
         tab = context.new_page()
         tab.goto(page.address)
-        tab.evaluate("localStorage.setItem('hiprl.judge', 'me')")
+        tab.evaluate(f"localStorage.setItem('hiprl.judge', {json.dumps(judge)})")  # who may change answers
         for name, path in PAGES.items():
             for suffix, (width, height) in SIZES.items():
                 if suffix and name != "teach":

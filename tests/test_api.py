@@ -96,6 +96,9 @@ def test_a_run_whose_judge_failed_goes_on_with_another(tmp_path):
     with pytest.raises(JudgeError) as caught:
         hiprl.learn("linear", moody, config=TINY, store=store)
     run_id = str(caught.value).split("The run is ")[1].rstrip(".")
+    assert f"stored, as run {run_id} in {store}" in caught.value.__notes__[0]
+    with open_store(store) as opened:
+        assert opened.run(run_id).spec["function"].endswith("<locals>.moody")
     with pytest.raises(InputError) as caught:
         hiprl.resume(run_id, store=store)
     message = str(caught.value)

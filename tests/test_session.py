@@ -104,13 +104,22 @@ def test_the_policy_comes_back_from_the_store(finished):
     np.testing.assert_array_equal(one.policy.mode(s), other.policy.mode(s))
 
 
-def test_before_its_first_episode_a_run_has_no_policy(store):
-    world = world_from("linear")
+@pytest.mark.parametrize("answers", [0, 1])
+def test_before_its_first_search_a_run_has_no_policy(store, answers):
+    world, asked = world_from("linear"), []
+
+    def so_often(clips, hand, *, steps, key):
+        asked.append(1)
+        return None if len(asked) > answers else exact.answer(clips, hand, key=key)
+
     run_id = start(store, world, SPEC)
+    with pytest.raises(JudgeError):
+        carry_on(store, run_id, world, Judging(answer=so_often))
+    assert len(store.episodes(run_id)) == answers < TINY.warm_up
     with pytest.raises(InputError) as caught:
         learned_actor(store, run_id, world)
     message = str(caught.value)
-    assert "has not finished an episode" in message and "after the first" in message and "hiprl resume" in message
+    assert "has not searched for a policy yet" in message and f"hiprl resume {run_id}" in message
 
 
 def test_a_run_that_is_not_finished_has_the_best_policy_so_far(store):

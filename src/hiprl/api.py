@@ -116,11 +116,9 @@ def learn(
     judging = judge_from(judge)
     settings = asking(settings, judging, clip=clip, pick=ask, practice=practice, imagined=imagined)
     rule = None if terminates is None else named(terminates)
-    spec = RunSpec(seed=seed, config=settings, judge=named(judge), terminates=rule)
+    spec = RunSpec(seed=seed, config=settings, judge=named(judge), terminates=rule, function=function_of(judge))
     with new_store(store) as opened:
-        run_id = start(opened, world, spec)
-        summary = carry_on(opened, run_id, world, judging, watch=watch)
-        return Learned(learned_actor(opened, run_id, world), world, summary)
+        return gone_on(opened, start(opened, world, spec), world, judging, watch)
 
 
 def load(run: str, *, env: Any = None, store: str | Path = "runs/hiprl.db", terminates: Any = None) -> Learned:
@@ -167,8 +165,17 @@ def resume(
         refuse_finished(opened, row.id)
         judging = judge_of(row, judge)
         world = world_of(row, env=env, terminates=terminates)
-        summary = carry_on(opened, row.id, world, judging, watch=watch)
-        return Learned(learned_actor(opened, row.id, world), world, summary)
+        return gone_on(opened, row.id, world, judging, watch)
+
+
+def gone_on(store: Store, run_id: str, world: World, judging: Judging, watch: Watch) -> Learned:
+    """What a run has learned once it is at its end; what stops it before is told how to go on."""
+    try:
+        summary = carry_on(store, run_id, world, judging, watch=watch)
+    except BaseException as stopped:  # Ctrl-C as well
+        stopped.add_note(f"What is finished is stored, as run {run_id} in {store.name}. Go on with hiprl.resume.")
+        raise
+    return Learned(learned_actor(store, run_id, world), world, summary)
 
 
 def new_store(where: str | Path) -> Store:
@@ -192,6 +199,14 @@ def new_store(where: str | Path) -> Store:
 def named(given: object) -> str:
     """What a run's row says of a judge or a rule: its name, or `custom` for a function."""
     return given if isinstance(given, str) else CUSTOM
+
+
+def function_of(judge: object) -> str | None:
+    """What a function that judges is called, if anything; None for a judge with a name."""
+    if isinstance(judge, str):
+        return None
+    name = getattr(judge, "__qualname__", type(judge).__qualname__)
+    return f"{getattr(judge, '__module__', None) or type(judge).__module__}.{name}"
 
 
 def judge_of(row: RunRow, judge: str | Judge | None = None) -> Judging:

@@ -73,6 +73,8 @@ class RunSpec:
     """Episodes over which the final policy is reported."""
     terminates: str | None = None
     """The rule of termination that was given, as `module:function`; `custom` for a function itself."""
+    function: str | None = None
+    """The judge's own name, where it is a function."""
 
     def __post_init__(self) -> None:
         if self.eval_episodes < 1:
@@ -92,7 +94,7 @@ def refuse_seed(seed: int) -> None:
     if not 0 <= seed < 1 << 32:
         raise InputError(
             f"got the seed {seed}; a seed is a whole number from 0 to 4294967295, since draws know 32 bits of it and "
-            "no more. Choose one of these."
+            "no more. Say for example `--seed 0`."
         )
 
 
@@ -120,6 +122,7 @@ def start(store: Store, world: World, spec: RunSpec) -> str:
             "horizon": world.H,
             "names": world.names()._asdict(),
             "judge": spec.judge,
+            "function": spec.function,
             "eval_episodes": spec.eval_episodes,
             "terminates": spec.terminates,
             "config": to_plain(spec.config),
@@ -147,6 +150,7 @@ def spec_of(store: Store, run_id: str) -> RunSpec:
         judge=row.spec["judge"],
         eval_episodes=row.spec["eval_episodes"],
         terminates=row.spec.get("terminates"),
+        function=row.spec.get("function"),
     )
 
 
@@ -372,9 +376,10 @@ def learned_actor(store: Store, run_id: str, world: World) -> Actor:
     if saved is not None:
         return unpack(saved, like)
     checkpoint = store.checkpoint(run_id)
-    if checkpoint is None:
+    run = None if checkpoint is None else unpack(checkpoint[1], blank)
+    if run is None or not bool(jnp.any(run.archive.filled)):
         raise InputError(
-            f"run {run_id} has not finished an episode yet; a policy exists after the first. "
-            f"Let it go on with `hiprl resume {run_id}`."
+            f"run {run_id} has not searched for a policy yet, as it does once it has seen the first episodes. "
+            f"Let it go on with `hiprl resume {run_id} --store {store.name}`."
         )
-    return best_actor(unpack(checkpoint[1], blank), world, spec.config)
+    return best_actor(run, world, spec.config)

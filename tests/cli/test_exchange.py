@@ -35,10 +35,35 @@ def test_answers_go_out_and_come_back_changed(where, tmp_path: Path, capsys: pyt
     file.write_text("\n".join(lines))
     assert main(["import", str(file), "--store", store, "--json"]) == 0
     printed = capsys.readouterr()
-    assert json.loads(printed.out) == {"run": run, "added": 1, "known": 3, "open": 0, "store": store}
+    assert json.loads(printed.out) == {"run": run, "added": 1, "known": 3, "changed": 0, "open": 0, "store": store}
     assert "1 answer is new" in printed.err and f"hiprl relearn {run}" in printed.err
     with open_store(store) as opened:
         assert opened.answer_of(run, 3) == choice(True)
+
+
+def test_who_changes_answers_of_a_script_is_told_that_the_run_itself_goes_on_without(
+    where, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store, run = where
+    file = tmp_path / "answers.jsonl"
+    main(["export", run, "--to", str(file), "--store", store])
+    lines = file.read_text().splitlines()
+    lines[1] = json.dumps(json.loads(lines[1]) | {"answer": {"form": "number", "value": 7.0}})
+    file.write_text("\n".join(lines))
+    capsys.readouterr()
+    assert main(["import", str(file), "--store", store, "--json"]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out) == {"run": run, "added": 1, "known": 2, "changed": 1, "open": 1, "store": store}
+    assert "1 question is open" in printed.err and f"hiprl relearn {run} --store {store}" in printed.err
+    assert "`hiprl resume` does not take changed answers in" in printed.err
+
+
+@pytest.mark.parametrize("text", ["", "hello\n"])
+def test_a_file_of_something_else_is_told_by_its_name_and_line(where, tmp_path: Path, text: str) -> None:
+    file = tmp_path / "notes.txt"
+    file.write_text(text)
+    with pytest.raises(InputError, match=r"in .*notes\.txt, line 1: got .*, which does not begin a file of answers"):
+        bring(Import(file=str(file), store=where[0]))
 
 
 def test_trajectories_go_out(where, tmp_path: Path) -> None:

@@ -36,6 +36,16 @@ def ids(where: str) -> list[str]:
         return [row.id for row in store.runs()]
 
 
+def test_compare_names_what_it_leaves_out(where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with open_store(where) as store:
+        again = add_run(store, seed=0)
+    first = ids(where)[0]
+    assert main(["compare", "--all", "--store", where, "--out", str(tmp_path), "--json"]) == 0
+    shown = capsys.readouterr()
+    assert f"Left out, as another run has the same settings and seed: {first}." in shown.err
+    assert again in json.loads(shown.out)["arms"][0]["runs"]
+
+
 @pytest.mark.slow
 def test_show_takes_the_newest_run_and_lists_all(where: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["show", "--store", where]) == 0

@@ -121,3 +121,12 @@ def test_a_page_for_all_is_told_by_the_name_of_the_machine() -> None:
     assert known_as("0.0.0.0") == known_as("::") == socket.gethostname()
     assert known_as("127.0.0.1") == known_as("::1") == "localhost"
     assert (known_as("192.0.2.1"), known_as("2001:db8::1")) == ("192.0.2.1", "[2001:db8::1]")
+    assert known_as("127.0.0.2") == "127.0.0.2"  # where nothing answers as localhost
+
+
+@pytest.mark.parametrize("goal", ["", " ", "stand \u202e up", "\udcff", "x" * 501])
+def test_a_goal_that_the_page_would_refuse_is_refused_before_a_run_is_stored(tmp_path, goal: str) -> None:
+    store = tmp_path / "runs.db"
+    with pytest.raises(InputError, match=r"^Say what is wanted"):
+        teaching.teach(Teach(env="linear", store=str(store), port=0, goal=goal))
+    assert not store.exists()

@@ -11,7 +11,7 @@ from hiprl.control.ppo import PPOConfig
 from hiprl.report.arm_figure import comparison
 from hiprl.report.arms import arms_of, compared
 from hiprl.report.record import Record, record
-from hiprl.store.rows import PEOPLE
+from hiprl.store.rows import CUSTOM, PEOPLE
 from hiprl.store.store import Store
 from tests.report.made_up import add_run
 
@@ -44,6 +44,23 @@ def test_one_seed_of_a_script_counts_once_and_each_run_of_people(store: Store) -
     scripted, people = arms_of(all_of(store))
     assert [run.id for run in scripted.runs] == [second] and len(people.runs) == 2
     assert first != second != unfinished
+
+
+def test_runs_of_two_versions_are_two_arms(store: Store) -> None:
+    old = add_run(store, seed=5)
+    row = store.run(old)
+    new = store.add_run(row.env, 5, row.spec, {**row.versions, "hiprl": "9.9"})
+    arms = arms_of(all_of(store))
+    assert [[run.id for run in arm.runs] for arm in arms] == [[old], [new]]
+    assert arms[1].name == "hiprl 9.9"
+
+
+def test_two_functions_that_judge_are_two_arms(store: Store) -> None:
+    for name in ("mine.first", "mine.second"):
+        plain = store.run(add_run(store, judge=CUSTOM, finished=False)).spec
+        store.add_run("Hopper-v5", 7, {**plain, "function": name}, {"hiprl": "0.1"})
+    names = [arm.name for arm in arms_of(all_of(store))]
+    assert [name for name in names if "mine" in name] == ["judge mine.first, hiprl 0.1", "judge mine.second, hiprl 0.1"]
 
 
 def test_what_was_to_be_learned_sets_arms_apart(store: Store) -> None:

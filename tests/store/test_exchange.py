@@ -57,7 +57,7 @@ def test_answers_that_come_back_are_known(store: Store) -> None:
     run_id = a_run(store)
     before = said(store, run_id)
     # the second question's first answer was corrected, and stays so
-    assert imported(store, exported(store, run_id)) == (run_id, 0, 3, 1)
+    assert imported(store, exported(store, run_id)) == (run_id, 0, 3, 0, 1)
     assert said(store, run_id) == before
 
 
@@ -66,7 +66,7 @@ def test_a_run_is_answered_elsewhere(store: Store) -> None:
     lines = list(exported(store, run_id))
     for n, answer in enumerate((number(7), level(-2, 5), choice(False)), 1):
         lines = changed(lines, n, answer=answer.plain(), judge="bo")
-    assert imported(store, [*lines, "", "  "]) == (run_id, 3, 0, 0)
+    assert imported(store, [*lines, "", "  "]) == (run_id, 3, 0, 0, 0)
     assert said(store, run_id) == [
         (1, number(7.0), "bo", False),
         (2, level(-2, 5), "bo", False),
@@ -140,10 +140,10 @@ def test_a_file_that_comes_again_undoes_no_correction(store: Store, at: dict) ->
     file = [head]
     for k, answer in ((1, choice(True)), (1, choice(False)), (1, choice(True)), (2, number(0.1)), (2, number(0.1))):
         file.append(json.dumps({"k": k, "answer": answer.plain(), "judge": "bo", **at}))
-    assert imported(store, file) == (run_id, 4, 1, 0)  # 0.1 was said twice in a row
+    assert imported(store, file) == (run_id, 4, 1, 0, 1)  # 0.1 was said twice in a row
     assert store.answer(run_id, 1, choice(False), "bo") and store.answer(run_id, 2, choice(True), "cy")
     before = said(store, run_id)
-    assert imported(store, file) == (run_id, 0, 5, 0)
+    assert imported(store, file) == (run_id, 0, 5, 0, 1)
     assert said(store, run_id) == before and store.answer_of(run_id, 1) == choice(False)
 
 

@@ -13,6 +13,7 @@ from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, Answer, choice, level, 
 from hiprl.data.film import Film
 from hiprl.store.rows import ClipRow
 from hiprl.store.store import Store
+from hiprl.web import app
 from hiprl.web.access import Doors
 from hiprl.web.app import app_of
 from hiprl.web.shown import turned
@@ -349,6 +350,40 @@ def test_a_token_is_good_once_and_a_password_always(outside, doors: Doors):
     assert "httponly" in cookie and "samesite=strict" in cookie
 
 
+def test_wrong_guesses_wait_for_one_another_and_the_right_one_for_none(outside, doors: Doors, monkeypatch):
+    waits: list[float] = []
+
+    async def waited(seconds: float) -> None:
+        waits.append(seconds)
+
+    monkeypatch.setattr(app.anyio, "sleep", waited)
+    for guess in ("wrong", "wronger"):
+        assert outside.post("/enter", data={"token": guess}).status_code == 403
+    assert waits == [app.PAUSE] * 2
+    assert outside.post("/enter", data={"token": "open sesame"}).status_code == 303
+    assert len(waits) == 2
+
+
+def test_behind_a_proxy_the_browser_says_where_an_answer_comes_from(client, store: Store, run_id: str):
+    told = {"k": 1, "judge": "a", "swapped": False, "answer": {"form": "equal"}}
+    behind = {"Origin": "https://teach.example", "Sec-Fetch-Site": "same-origin"}
+    assert client.post(f"/api/runs/{run_id}/answers", json=told, headers=behind).status_code == 200
+    assert store.answers(run_id)
+
+
+def test_the_player_is_kept_by_browsers_until_it_changes(outside):
+    first = outside.get("/static/player.js")
+    assert first.headers["cache-control"] == "no-cache"
+    assert outside.get("/static/player.js", headers={"If-None-Match": first.headers["etag"]}).status_code == 304
+    assert outside.get("/enter").headers["cache-control"] == "no-store"
+
+
+def test_a_run_in_an_environment_of_a_long_name_has_its_page(client, store: Store):
+    run_id = store.add_run("package_of_mine.module_of_mine:" + "make_" * 30, 3, {"judge": "exact"}, {})
+    assert len(run_id) < 80
+    assert run_id in client.get("/").text
+
+
 def test_who_came_in_is_known_to_every_page_on_the_store(client, store: Store, run_id: str, doors: Doors):
     again = Doors(store.secret(), "open sesame")
     with TestClient(app_of(store, again, hosts=["testserver"]), follow_redirects=False) as later:
@@ -459,7 +494,8 @@ def test_nothing_hostile_gets_a_traceback_or_is_written(client, store: Store, ru
         for body in BODIES:
             response = client.post(path.format(run_id), content=body, headers={"Content-Type": "application/json"})
             tried += 1
-            assert response.status_code in (400, 403, 404, 405, 413), (path, body[:80], response.text)
+            led_on = path == "/enter" and response.headers.get("location") == "/"  # who is in stays in
+            assert led_on or response.status_code in (400, 403, 404, 405, 413), (path, body[:80], response.text)
             assert "Traceback" not in response.text
     judge = {"judge": "ada"}
     for path in (

@@ -76,7 +76,7 @@ class Train:
     module:function for a function of yours that makes one;
     or a built-in one: linear, swing-up, swing-up:action_cost=0.1."""
     judge: Annotated[str, arg(metavar="NAME[:SETTING=VALUE,...]")] = "exact"
-    """Who compares, by the environment's own reward:
+    """Who compares, by the environment's own reward (what the settings mean: docs/commands.md#judges):
     exact gives the difference of the returns;
     noisy:STD adds an error with this standard deviation, in the unit of the return;
     choice says which is better (settings beta, mistake, skip, equal, myopic);
@@ -292,10 +292,12 @@ class Play:
 
     run: Annotated[Positional[str], arg(metavar="RUN")]
     """The run's id, or the start of it."""
-    html: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: beside the store)")] = None
+    html: Annotated[
+        str | None, arg(metavar="FILE", help_behavior_hint="(default: beside the store; none with --video alone)")
+    ] = None
     """Where to write it."""
     video: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write a video (MP4) too; needs pip install 'hiprl[video]' and, for a MuJoCo body, OpenGL."""
+    """Write a video (MP4) of the same episode; needs pip install 'hiprl[video]' and, for a MuJoCo body, OpenGL."""
     steps: Annotated[int, arg(metavar="N")] = 500
     """At most so many steps of the episode."""
     seed: int = 0

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import numpy as np
 
-from hiprl.cli.commands import Export, Facts, Import
+from hiprl.cli.commands import DEFAULT_STORE, Export, Facts, Import
 from hiprl.cli.showing import say
 from hiprl.errors import InputError
 from hiprl.store.exchange import exported, imported
-from hiprl.store.rows import TrajectoryRow
+from hiprl.store.rows import PEOPLE, TrajectoryRow
 from hiprl.store.store import open_store
 
 
@@ -23,7 +24,7 @@ def export(command: Export) -> Facts:
             "the trajectories. Write for example --to answers.jsonl."
         )
     with open_store(command.store, create=False) as store:
-        run_id = store.find_run(command.run).id
+        run_id, name = store.find_run(command.run).id, store.name
         try:
             if path.suffix == ".npz":
                 taus = store.trajectories(run_id)
@@ -38,7 +39,7 @@ def export(command: Export) -> Facts:
                 f"cannot write {path}: {e.strerror}. Name a file in a folder that you may write to."
             ) from e
     say(f"{n} {what} of {run_id} are in {path}.")
-    return {"run": run_id, "file": str(path), "count": n, "store": command.store}
+    return {"run": run_id, "file": str(path), "count": n, "store": name}
 
 
 def bring(command: Import) -> Facts:
@@ -50,13 +51,21 @@ def bring(command: Import) -> Facts:
         why = e.strerror if isinstance(e, OSError) else "it is not text"
         raise InputError(f"cannot read {path}: {why}. Name a file that `hiprl export` wrote.") from e
     with open_store(command.store, create=False) as store:
-        found = imported(store, lines)
+        try:
+            found, name = imported(store, lines), store.name
+        except InputError as e:
+            raise InputError(f"in {path}, {e}") from e
+        judge, finished = store.run(found.run).spec.get("judge"), store.final(found.run) is not None
     is_new = "1 answer is" if found.added == 1 else f"{found.added} answers are"
+    are_open = "1 question is" if found.open == 1 else f"{found.open} questions are"
+    again = ["hiprl", "relearn", found.run] + ([] if command.store == DEFAULT_STORE else ["--store", name])
     say(
-        f"{is_new} new to {found.run}, {found.known} were there already, {found.open} questions are "
-        f"open. What a reward makes of them: hiprl relearn {found.run}"
+        f"{is_new} new to {found.run}, {found.known} were there already, {are_open} open. "
+        f"What a reward makes of them: {shlex.join(again)}"
     )
-    return {**found._asdict(), "store": command.store}
+    if found.changed and not finished and judge != PEOPLE:
+        say("The run itself goes on with what its judge said: `hiprl resume` does not take changed answers in.")
+    return {**found._asdict(), "store": name}
 
 
 def arrays(taus: list[TrajectoryRow]) -> dict[str, np.ndarray]:
@@ -67,7 +76,7 @@ def arrays(taus: list[TrajectoryRow]) -> dict[str, np.ndarray]:
     """
     if not taus:
         raise InputError(
-            "the run has executed nothing yet; at least one trajectory is needed. Let it go on with `hiprl resume`."
+            "the run has executed nothing yet; at least one trajectory is needed. Let it go on with `hiprl resume RUN`."
         )
     H = max(tau.length for tau in taus)
     padded = lambda x, n: np.pad(x, [(0, n - len(x)), *[(0, 0)] * (x.ndim - 1)], constant_values=np.nan)

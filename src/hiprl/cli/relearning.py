@@ -24,7 +24,7 @@ def relearn(command: Relearn) -> Facts:
         )
     with open_store(command.store, create=False) as store:
         row = store.find_run(command.run)
-        T, P = evidence_of(store, row)
+        (T, P), name = evidence_of(store, row), store.name
     config = AdditiveConfig() if command.features == "smooth" else AdditiveConfig(smooth=LINEAR)
     P = as_said(P, command.answers)
     found = told(row, T, P, config)
@@ -35,7 +35,7 @@ def relearn(command: Relearn) -> Facts:
         **quality(T, P, config, folds=command.folds),
         "best_trajectory": found.best,
         "weights": found.weights,
-        "store": command.store,
+        "store": name,
     }
     table = Table("reward learned again", row.id, box=box.SIMPLE_HEAD)
     for name, words in {

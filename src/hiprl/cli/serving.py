@@ -19,7 +19,7 @@ import uvicorn
 from hiprl.cli.commands import Facts, Serve
 from hiprl.errors import InputError
 from hiprl.store.store import Store, open_store
-from hiprl.web.access import Doors
+from hiprl.web.access import LONGEST_PASSWORD, Doors
 from hiprl.web.app import Picture, app_of
 
 PASSWORD = "HIPRL_PASSWORD"
@@ -45,6 +45,12 @@ LOOKING = 75  # seconds that a line stays open for the next answer: a person loo
 
 def serve(command: Serve) -> Facts:
     """Shows the page until Ctrl-C; gives where it was."""
+    password = os.environ.get(PASSWORD) or None
+    if password is not None and len(password) > LONGEST_PASSWORD:
+        raise InputError(
+            f"got a password of {len(password)} letters in {PASSWORD}; at most {LONGEST_PASSWORD} are asked for. "
+            "Take a shorter one."
+        )
     with open_store(command.store, create=False) as store:
         run_id = None if command.run is None else store.find_run(command.run).id
         listener = listening(command.host, command.port)
@@ -58,8 +64,8 @@ def serve(command: Serve) -> Facts:
         def again(token: str) -> None:
             say(f"In another browser: {address(token)}")
 
-        doors = Doors(store.secret(), os.environ.get(PASSWORD) or None, told=again)
-        hosts = ["localhost", "127.0.0.1", "[::1]"] if loopback(host) else ["*"]
+        doors = Doors(store.secret(), password, told=again)
+        hosts = ["localhost", "127.0.0.1", "[::1]", home] if loopback(host) else ["*"]
         app = app_of(store, doors, hosts=hosts, pictures=drawings(store))
         quietly = uvicorn.Config(
             app,
@@ -139,7 +145,7 @@ def loopback(host: str) -> bool:
 
 def known_as(host: str) -> str:
     """What a browser calls an address of this machine."""
-    if loopback(host):
+    if host in ("127.0.0.1", "::1", "localhost"):
         return "localhost"
     if host in ("0.0.0.0", "::"):  # all addresses, and the address of none
         return socket.gethostname()

@@ -71,17 +71,22 @@ def compare(command: Compare) -> Facts:
             + "; either some runs or all of them are compared. Write hiprl compare RUN RUN, or hiprl compare --all."
         )
     stores = command.store or (DEFAULT_STORE,)
-    arms = arms_of(found(command.runs, stores))
+    records = found(command.runs, stores)
+    arms = arms_of(records)
     lines = compared(arms, reach=command.reach)
     output(command.json).print(table_of_arms(lines))
     unfinished = [run.id for arm in arms for run in arm.runs if run.final is None]
     if unfinished:
         say(f"Not finished, so without a final return: {', '.join(unfinished)}.")
+    compared_ids = {run.id for arm in arms for run in arm.runs}
+    again = [run.id for run in records if run.id not in compared_ids]
+    if again:
+        say(f"Left out, as another run has the same settings and seed: {', '.join(again)}.")
     folder = Path(command.out).expanduser() if command.out is not None else beside(stores[0], "comparison")
     return {
         "arms": lines,
         "unfinished": unfinished,
-        "stores": [*stores],
+        "stores": [*dict.fromkeys(run.store for run in records)],
         "pictures": saved({"comparison": comparison(arms)}, folder),
     }
 
@@ -93,9 +98,11 @@ def found(runs: Sequence[str], stores: Sequence[str]) -> list[Record]:
         InputError: no store has the run, or there is none at all.
     """
     records: list[Record] = []
+    names: list[str] = []
     missing = dict.fromkeys(runs)
     for where in stores:
         with open_store(where, create=False) as store:
+            names.append(store.name)
             if not runs:
                 records += [record(store, row) for row in store.runs()]
             for name in [*missing]:
@@ -104,7 +111,7 @@ def found(runs: Sequence[str], stores: Sequence[str]) -> list[Record]:
                     del missing[name]
     if not records:
         raise InputError(
-            f"there is no run in {' or '.join(stores)} yet; at least one is needed. "
+            f"there is no run in {' or '.join(names)} yet; at least one is needed. "
             "Begin one with `hiprl train`, or name another store with --store."
         )
     return records
@@ -151,7 +158,9 @@ def table_of_runs(runs: Sequence[Record]) -> Table:
 def table_of_numbers(run: Record, facts: Facts) -> Table:
     """What is told of one run."""
     table = Table("run", run.id, box=box.SIMPLE_HEAD)
-    returned = "not finished; go on with `hiprl resume`" if not facts["finished"] else "not known: no reward is paid"
+    returned = (
+        f"not finished; go on with `hiprl resume {run.id}`" if not facts["finished"] else "not known: no reward is paid"
+    )
     if facts["return_mean"] is not None:
         n = facts["eval_episodes"]
         returned = f"{facts['return_mean']:.1f} ± {facts['return_std']:.1f} over {n} episode{'s' if n > 1 else ''}"

@@ -20,6 +20,7 @@ from hiprl.cli.progress import progress
 from hiprl.cli.serving import WITH_PARENT, listening, say
 from hiprl.cli.training import outcome, tell, typed
 from hiprl.config import Config, teachable
+from hiprl.data.words import goal_in
 from hiprl.errors import InputError
 from hiprl.session import RunSpec, spec_of, start
 from hiprl.store.rows import PEOPLE, RunRow
@@ -35,6 +36,7 @@ HEARD = 3.0  # seconds that the page stays at the end where nobody can say when:
 def teach(command: Teach) -> Facts:
     """Begins a run that people teach, with its page; gives its summary."""
     refuse_address(command)
+    wanted = None if command.goal is None else goal_in(command.goal)
     world = world_from(command.env, horizon=command.horizon, terminates=command.terminates)
     K = command.comparisons
     config = teachable(Config(comparisons=K, warm_up=max(min(FIRST, K), min(WARM_UP, K // 3))))
@@ -46,8 +48,8 @@ def teach(command: Teach) -> Facts:
     spec = RunSpec(seed=command.seed, config=config, judge=PEOPLE, terminates=command.terminates)
     with new_store(command.store) as store:
         run_id = start(store, world, spec)
-        if command.goal is not None:
-            store.set_goal(run_id, command.goal)
+        if wanted is not None:
+            store.set_goal(run_id, wanted)
         with page(run_id, store, command):
             return follow(store, run_id, world, command)
 

@@ -364,10 +364,10 @@ def _settings(judge: str, scripted: Scripted, text: str) -> dict[str, float | in
     for part in text.split(",") if text else []:
         name, equals, value = (x.strip() for x in part.partition("="))
         if not equals or name not in scripted.settings or name in given:
-            has = ", ".join(scripted.settings) or "no settings"
+            has = f"{', '.join(scripted.settings)}, each given at most once as name=value"
             raise InputError(
-                f"got the judge {judge!r} with the setting {part!r}; `{scripted.usage}` has {has}, each given at most "
-                f"once as name=value. Say for example `--judge {scripted.example}`."
+                f"got the judge {judge!r} with the setting {part!r}; `{scripted.usage}` has "
+                f"{has if scripted.settings else 'no settings'}. Say for example `--judge {scripted.example}`."
             )
         given[name] = _value(judge, scripted, name, value)
     return given
@@ -382,7 +382,7 @@ def _value(judge: str, scripted: Scripted, name: str, text: str) -> float | int:
         value = math.nan
     if not setting.fits(value):
         raise InputError(
-            f"got the judge {judge!r} with {text!r} for {name}; in `{scripted.usage}` it is {setting.needed}. "
-            f"Say for example `--judge {scripted.example}`."
+            f"got the judge {judge!r} with {text or 'nothing'!r} for {name}; in `{scripted.usage}` it is "
+            f"{setting.needed}. Say for example `--judge {scripted.example}`."
         )
     return value

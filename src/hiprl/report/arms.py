@@ -68,12 +68,13 @@ def returned(run: Record) -> float | None:
 def arms_of(records: Iterable[Record]) -> list[Arm]:
     """The arms by environment, in the order in which their first runs were begun.
 
-    A run named twice counts once, and so do runs of the same seed that nobody but a script has judged.
+    A run named twice counts once, and so do runs of the same seed that nobody but a script has judged: of these the
+    finished one, or the newest. Runs of different versions of hiprl are no such runs, and no one arm.
     """
     groups: dict[str, list[Record]] = {}
     once = {(record.store, record.id): record for record in records}
     for record in sorted(once.values(), key=lambda record: (record.row.created_at, record.id)):
-        same = json.dumps([record.row.env, record.row.spec, record.goal], sort_keys=True)
+        same = json.dumps([record.row.env, record.row.spec, record.goal, version_of(record)], sort_keys=True)
         groups.setdefault(same, []).append(record)
     for same, runs in groups.items():
         if runs[0].row.spec["judge"] not in (PEOPLE, CUSTOM):
@@ -87,6 +88,11 @@ def arms_of(records: Iterable[Record]) -> list[Arm]:
     return arms
 
 
+def version_of(run: Record) -> str:
+    """Of the hiprl that a run was made by."""
+    return run.row.versions.get("hiprl", "")
+
+
 def names_of(firsts: Sequence[Record]) -> list[str]:
     """For each of these runs in one environment, what sets it apart from the others; all different."""
     settings = [setting(record.row) for record in firsts]
@@ -97,6 +103,8 @@ def names_of(firsts: Sequence[Record]) -> list[str]:
         apart = [f"{field} {value}" for field, value in one.changes.items() if (field, value) not in shared]
         if len({other.planned for other in firsts}) > 1:
             apart.append(f"{record.planned} comparisons")
+        if len({version_of(other) for other in firsts}) > 1:
+            apart.append(f"hiprl {version_of(record)}")
         if record.goal and len({other.goal for other in firsts}) > 1:
             apart.append(f'"{record.goal}"')
         names.append(", ".join(([one.preset] if many_presets or not apart else []) + apart))

@@ -35,7 +35,7 @@ def setting(row: RunRow) -> Setting:
         ((name, departures(flat(of_preset(name, row)), stored)) for name in PRESETS), key=lambda found: len(found[1])
     )
     if spec["judge"] != "exact":
-        changes = {"judge": spec["judge"], **changes}
+        changes = {"judge": spec.get("function") or spec["judge"], **changes}
     return Setting(row.env, nearest, changes)
 
 

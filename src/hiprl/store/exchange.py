@@ -40,8 +40,10 @@ class Imported(NamedTuple):
     added: int
     known: int
     """Answers that were there already."""
+    changed: int
+    """New ones to questions that had another answer."""
     open: int
-    """Questions without an answer in the file."""
+    """Questions of the run that have none yet."""
 
 
 def exported(store: Store, run_id: str) -> Iterator[str]:
@@ -73,19 +75,18 @@ def imported(store: Store, lines: Iterable[str], *, judge: str = "import") -> Im
             does not fit its question.
     """
     numbered = ((n, line) for n, line in enumerate(lines, 1) if line.strip())
-    run_id = _run_of(next(numbered, (1, ""))[1])
+    run_id = _run_of(*next(numbered, (1, "")))
     run = store.run(run_id)
     questions = {question.k: question for question in store.questions(run_id)}
     there = Counter((row.k, row.answer, row.judge) for row in store.answers(run_id))
     newest: dict[int, Given] = {}
-    given, known, unanswered = [], 0, 0
+    given, known = [], 0
     for n, line in numbered:
         try:
             found = _read(line, questions, run, judge)
         except HiprlError as e:
             raise InputError(f"line {n}: {e} Nothing was imported.") from e
         if found is None:
-            unanswered += 1
             continue
         said = found.k, found.answer, found.judge
         if there[said]:
@@ -97,7 +98,9 @@ def imported(store: Store, lines: Iterable[str], *, judge: str = "import") -> Im
             given.append(found)
         newest[found.k] = found
     added = store.answer_all(run_id, given)
-    return Imported(run_id, added, known + len(given) - added, unanswered)
+    changed = len({one.k for one in given if questions[one.k].answer is not None})
+    still_open = len(store.questions(run_id, unanswered=True))
+    return Imported(run_id, added, known + len(given) - added, changed, still_open)
 
 
 def _asked(question: QuestionRow) -> dict[str, Any]:
@@ -105,27 +108,25 @@ def _asked(question: QuestionRow) -> dict[str, Any]:
     return {"k": question.k, "clips": clips}
 
 
-def _object(line: str) -> dict[str, Any]:
+def _object(line: str) -> dict[str, Any] | None:
     try:
         found = json.loads(line)
     except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
-        raise InputError(f"got {line.strip()[:60]!r}; a JSON object is needed. See what `hiprl export` writes.")
-    return found
+        return None
+    return found if isinstance(found, dict) else None
 
 
-def _run_of(line: str) -> str:
+def _run_of(n: int, line: str) -> str:
     """The run that a file is about, from its first line."""
-    head = _object(line)
+    head = _object(line) or {}
     if head.get("schema") != SCHEMA or not isinstance(head.get("run"), str):
         raise InputError(
-            f"got a first line that does not begin a file of answers; it names the schema {SCHEMA!r}, its version and "
-            "the run. See what `hiprl export RUN --to answers.jsonl` writes."
+            f"line {n}: got {line.strip()[:60]!r}, which does not begin a file of answers: its first line names the "
+            f"schema {SCHEMA!r}, its version and the run. See what `hiprl export RUN --to answers.jsonl` writes."
         )
     if head.get("version") != VERSION:
         raise InputError(
-            f"got answers of version {head.get('version')!r}; this hiprl reads version {VERSION}. "
+            f"line {n}: got answers of version {head.get('version')!r}; this hiprl reads version {VERSION}. "
             "Install the hiprl that wrote the file, or a newer one."
         )
     return head["run"]
@@ -134,6 +135,8 @@ def _run_of(line: str) -> str:
 def _read(line: str, questions: dict[int, QuestionRow], run: RunRow, judge: str) -> Given | None:
     """The answer in a line; None for a question that is still open."""
     found = _object(line)
+    if found is None:
+        raise InputError(f"got {line.strip()[:60]!r}; a JSON object is needed. See what `hiprl export` writes.")
     strange = sorted(set(found) - ENTRIES)
     if strange:
         raise InputError(

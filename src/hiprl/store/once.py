@@ -32,7 +32,7 @@ def refuse_run(connection: sa.Connection, run_id: str, name: str) -> NoReturn:
     guess = f"Did you mean {' or '.join(near)}? " if near else ""
     raise InputError(
         f"there is no run {run_id!r} in {name}; the id of a run in this store is needed. "
-        f"{guess}`hiprl show` lists all runs."
+        f"{guess}`hiprl show --store {name}` lists all runs."
     )
 
 

@@ -103,7 +103,7 @@ class Store:
         """
         if not -_LONGEST <= seed <= _LONGEST:
             raise InputError(f"got the seed {seed}; it must fit into 64 bits. Take one such as {seed % 2**31}.")
-        name = re.sub(r"[^a-z0-9]+", "-", re.sub(r"-v\d+$", "", env.split("/")[-1]).lower()).strip("-") or "run"
+        name = re.sub(r"[^a-z0-9]+", "-", re.sub(r"-v\d+$", "", env.split("/")[-1]).lower()).strip("-")[:60] or "run"
         with self._database.writing() as connection:
             run_id = f"{name}-{secrets.token_hex(2)}"
             while connection.execute(sa.select(runs.c.id).where(runs.c.id == run_id)).first():

@@ -15,6 +15,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+LONGEST_PASSWORD = 200  # letters
 LARGEST = 16 * 1024  # bytes of a request: an answer has a few hundred
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
@@ -70,10 +71,13 @@ class Doors:
 
 
 def foreign(headers: Headers) -> bool:
-    """Whether a request that changes something was sent by another site's page."""
+    """Whether a request that changes something was sent by another site's page.
+
+    A browser that says so itself is believed: behind a proxy, the host that is asked may not be the one in its address.
+    """
     origin, site = headers.get("origin"), headers.get("sec-fetch-site")
-    if site is not None and site not in ("same-origin", "none"):
-        return True
+    if site is not None:
+        return site not in ("same-origin", "none")
     return origin is not None and urlsplit(origin).netloc != headers.get("host")
 
 
@@ -106,7 +110,8 @@ class Guard:
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
                     headers[name] = value
-                headers.setdefault("Cache-Control", "no-store")
+                still = scope["path"].startswith("/static/")  # the same for all, and asked for by its ETag
+                headers.setdefault("Cache-Control", "no-cache" if still else "no-store")
             await send(message)
 
         await self._app(scope, limited, guarded)

@@ -23,15 +23,15 @@ from starlette.staticfiles import StaticFiles
 from starlette.templating import Jinja2Templates
 
 from hiprl.data.answer import Answer
-from hiprl.data.words import hidden_in, seen_of
+from hiprl.data.words import goal_in, name_in
 from hiprl.errors import Answered, HiprlError, InputError
 from hiprl.store.store import Store
-from hiprl.web.access import OPEN_PATHS, Doors, Guard, foreign
+from hiprl.web.access import LONGEST_PASSWORD, OPEN_PATHS, Doors, Guard, foreign
 from hiprl.web.shown import Shown, taught_by_people, turned
 
 HERE = Path(__file__).parent
-RUN = re.compile(r"[a-z0-9-]{1,80}")
-LONGEST_NAME, LONGEST_GOAL = 60, 500  # letters
+RUN = re.compile(r"[a-z0-9-]{1,250}")
+PAUSE = 0.5  # seconds that a wrong guess of the password takes, one at a time
 LOOK = 1.0  # seconds between two looks for news
 STAY = 15.0  # seconds after which a word is sent to a page, so that the line stays open
 
@@ -53,7 +53,7 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
         hosts: names by which browsers may call it; others are refused, as a foreign site may point its name here.
     """
     shown, drawn = Shown(store), dict(pictures or {})
-    templates = Jinja2Templates(HERE / "templates")
+    templates, guessing = Jinja2Templates(HERE / "templates"), anyio.Lock()
 
     def guarded(handler: Handler) -> Callable[[Request], Awaitable[Response]]:
         """The handler for those who came in, in a thread; what is wrong is said in words."""
@@ -99,12 +99,12 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
 
     def next_question(request: Request) -> Any:
         run_id = run_of(request)
-        judge = name_of(request.query_params.get("judge", ""))
+        judge = name_in(request.query_params.get("judge", ""))
         row = None if store.enough(run_id) else store.claim(run_id, judge)
         return {"question": None if row is None else shown.question(row), "progress": shown.lately(run_id, seconds=0.0)}
 
     def last_question(request: Request) -> Any:
-        run_id, judge = run_of(request), name_of(request.query_params.get("judge", ""))
+        run_id, judge = run_of(request), name_in(request.query_params.get("judge", ""))
         mine = [row for row in store.answers(run_id) if row.judge == judge]
         if not mine:
             return {"question": None}
@@ -121,7 +121,7 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
 
     def answer(request: Request, body: dict[str, Any]) -> Any:
         run_id, k, swapped = run_of(request), body.get("k"), body.get("swapped", False)
-        said, judge = body.get("answer"), name_of(body.get("judge", ""))
+        said, judge = body.get("answer"), name_in(body.get("judge", ""))
         if type(k) is not int or not 0 <= k < 1 << 31 or not isinstance(swapped, bool) or not isinstance(said, dict):
             raise HTTPException(400, "An answer has k, judge, swapped and answer.")
         given = turned(Answer.taken(said), swapped)
@@ -129,12 +129,12 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
         return {"new": new, "progress": shown.lately(run_id, seconds=0.0)}
 
     def goal(request: Request, body: dict[str, Any]) -> Any:
-        run_id, words = run_of(request), words_of(body.get("goal"), LONGEST_GOAL, "what is wanted")
+        run_id, words = run_of(request), goal_in(body.get("goal"))
         store.set_goal(run_id, words)
         return {"goal": words}
 
     def enough(request: Request, body: dict[str, Any]) -> Any:
-        run_id, judge = run_of(request), name_of(body.get("judge", ""))
+        run_id, judge = run_of(request), name_in(body.get("judge", ""))
         if not store.answers(run_id):
             raise HTTPException(400, "Nothing was answered yet, so that there is nothing to learn from. Answer first.")
         store.say_enough(run_id, judge)
@@ -178,11 +178,14 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
                 raise HTTPException(403, "This came from another site.")
             told = form_of(await request.body())
         given, to = told.get("token", ""), there(told.get("next", "/"))
-        if 0 < len(given) <= 200 and doors.enters(given):
+        if 0 < len(given) <= LONGEST_PASSWORD and doors.enters(given):
             return doors.let_in(RedirectResponse(to, 303))
         if doors.knows(request):
             return RedirectResponse(to, 303)
         wrong = bool(given) or request.method == "POST"
+        if wrong:
+            async with guessing:
+                await anyio.sleep(PAUSE)
         shown_there = {"next": to, "error": "That does not open this page; a token is good once." if wrong else ""}
         return templates.TemplateResponse(request, "enter.html", shown_there, status_code=403 if wrong else 200)
 
@@ -247,22 +250,6 @@ def form_of(body: bytes) -> dict[str, str]:
         return dict(parse_qsl(body.decode(), max_num_fields=8))
     except ValueError:
         return {}
-
-
-def name_of(given: Any) -> str:
-    """A judge's name."""
-    return words_of(given, LONGEST_NAME, "who answers")
-
-
-def words_of(given: Any, longest: int, what: str) -> str:
-    """Somebody's own words, on one line, with a space wherever there was any."""
-    words = " ".join(given.split()) if isinstance(given, str) else ""
-    hidden = hidden_in(words)
-    if hidden is not None:
-        raise HTTPException(400, f"Say {what} without the sign U+{ord(hidden):04X}, which cannot be seen.")
-    if not seen_of(words) or len(words) > longest:
-        raise HTTPException(400, f"Say {what} in 1 to {longest} letters.")
-    return words
 
 
 def there(path: str) -> str:

@@ -126,10 +126,11 @@ def _built_in(name: str, text: str) -> tuple[Task, str]:
             settings[key.strip()] = number = float(value)
         except ValueError:
             number = math.nan
-        if key.strip() not in allowed or not (math.isfinite(number) and number >= 0):
+        known = key.strip() in allowed
+        if not known or not (math.isfinite(number) and number >= 0):
             raise InputError(
                 f"got {part!r} in {name}:{text}; {name} has the settings {', '.join(allowed)}, each a number "
-                f"from 0. {near(key.strip(), allowed)}Write for example {name}:{allowed[0]}=0.1."
+                f"from 0. {'' if known else near(key.strip(), allowed)}Write for example {name}:{allowed[0]}=0.1."
             )
     spec = ",".join(f"{key}={settings[key]!r}" for key in sorted(settings))
     return make(**settings), f"{name}:{spec}" if spec else name

@@ -65,7 +65,7 @@ def attribute_from(path: str, *, what: str) -> Callable[..., Any]:
     found: Any = _module(module_name, path, what)
     for part in attribute.split("."):
         if not hasattr(found, part):
-            names = [name for name in vars(found) if not name.startswith("_")]
+            names = [name for name, value in vars(found).items() if callable(value) and not name.startswith("_")]
             raise InputError(
                 f"got {path!r}, but {module_name} has no {attribute}; {what} needs a function of that "
                 f"module. {near(part, names)}Write module:function with a name that the module defines."
