@@ -14,7 +14,7 @@ from benchmarks.clicker import chromium, started
 from hiprl.store.store import open_store
 
 SIZES = {"": (1180, 860), "-phone": (390, 844)}
-PAGES = {"teach": "/runs/{}/teach", "review": "/runs/{}/review", "progress": "/runs/{}", "runs": "/"}
+PAGES = {"teach": "/runs/{}/teach", "review": "/runs/{}/review", "progress": "/runs/{}"}
 SETTLE = 4000  # milliseconds until clips play
 
 
