@@ -94,7 +94,7 @@ def refuse_seed(seed: int) -> None:
     if not 0 <= seed < 1 << 32:
         raise InputError(
             f"got the seed {seed}; a seed is a whole number from 0 to 4294967295, since draws know 32 bits of it and "
-            "no more. Say for example `--seed 0`."
+            "no more. Choose one, such as 0."
         )
 
 

@@ -118,7 +118,7 @@ def test_an_unknown_run_is_refused_with_near_ids(store: Store, run_id: str):
         lambda run: store.finish(run, {}, b""),
     ]
     for act in actions:
-        with pytest.raises(InputError, match=rf"no run 'hoper-.*is needed\. Did you mean {run_id}\? `hiprl show`"):
+        with pytest.raises(InputError, match=rf"no run 'hoper-.*is needed\. Did you mean {run_id}\? `hiprl show --s"):
             act(run_id.replace("pp", "p"))
 
 

@@ -150,7 +150,7 @@ def _url_from(where: str | Path) -> sa.URL:
     if url.drivername in ("postgres", "postgresql"):
         url = url.set(drivername="postgresql+psycopg")
     if url.drivername not in ("sqlite", "postgresql+psycopg"):
-        raise InputError(f"got a store's address for {url.drivername}; {needed} Say for example `--store runs.db`.")
+        raise InputError(f"got a store's address for {url.drivername}; {needed} Name one, such as runs.db.")
     return url
 
 
