@@ -172,6 +172,8 @@ def gone_on(store: Store, run_id: str, world: World, judging: Judging, watch: Wa
     """What a run has learned once it is at its end; what stops it before is told how to go on."""
     try:
         summary = carry_on(store, run_id, world, judging, watch=watch)
+    except InputError:  # it was not begun
+        raise
     except BaseException as stopped:  # Ctrl-C as well
         stopped.add_note(f"What is finished is stored, as run {run_id} in {store.name}. Go on with hiprl.resume.")
         raise

@@ -55,6 +55,13 @@ def test_runs_of_two_versions_are_two_arms(store: Store) -> None:
     assert arms[1].name == "hiprl 9.9"
 
 
+def test_runs_from_before_functions_had_names_are_no_arm_of_their_own(store: Store) -> None:
+    row = store.run(add_run(store, seed=5))
+    assert "function" not in row.spec
+    store.add_run(row.env, 7, {**row.spec, "function": None}, row.versions)
+    assert [[run.row.seed for run in arm.runs] for arm in arms_of(all_of(store))] == [[5, 7]]
+
+
 def test_two_functions_that_judge_are_two_arms(store: Store) -> None:
     for name in ("mine.first", "mine.second"):
         plain = store.run(add_run(store, judge=CUSTOM, finished=False)).spec

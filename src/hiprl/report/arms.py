@@ -74,7 +74,8 @@ def arms_of(records: Iterable[Record]) -> list[Arm]:
     groups: dict[str, list[Record]] = {}
     once = {(record.store, record.id): record for record in records}
     for record in sorted(once.values(), key=lambda record: (record.row.created_at, record.id)):
-        same = json.dumps([record.row.env, record.row.spec, record.goal, version_of(record)], sort_keys=True)
+        spec = {"function": None, **record.row.spec}  # which earlier runs do not say
+        same = json.dumps([record.row.env, spec, record.goal, version_of(record)], sort_keys=True)
         groups.setdefault(same, []).append(record)
     for same, runs in groups.items():
         if runs[0].row.spec["judge"] not in (PEOPLE, CUSTOM):

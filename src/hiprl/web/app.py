@@ -169,7 +169,8 @@ def app_of(store: Store, doors: Doors, *, hosts: list[str], pictures: Mapping[st
                 await anyio.sleep(LOOK)
                 silent += LOOK
 
-        return StreamingResponse(news(), media_type="text/event-stream")
+        at_once = {"X-Accel-Buffering": "no"}  # also through nginx
+        return StreamingResponse(news(), media_type="text/event-stream", headers=at_once)
 
     async def enter(request: Request) -> Response:
         told = dict(request.query_params)
