@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hiprl.models.dynamics import SPREAD, DynamicsConfig, estimate_dynamics, new_dynamics, nll, one_cycle
+from hiprl.models.dynamics import (
+    LEAST,
+    SPREAD,
+    DynamicsConfig,
+    estimate_dynamics,
+    new_dynamics,
+    nll,
+    no_louder_than_its_errors,
+    one_cycle,
+)
 from tests.data.samples import clean, p, q
 from tests.models.worlds import NOISE, A, B, linear_set
 
@@ -67,6 +76,24 @@ def test_a_fitted_model_is_near_the_truth_where_it_has_data(T, learned, test_row
 def test_the_noise_is_that_of_the_world(learned, test_rows):
     noise = np.median(beliefs(learned[0], *test_rows).noise, axis=0)
     assert (noise > 0.5 * NOISE).all() and (noise < 2.5 * NOISE).all()
+
+
+def test_a_member_that_expects_larger_errors_than_it_makes_is_made_as_quiet_as_they_are(learned, test_rows):
+    member, (s, a) = jax.tree.map(lambda x: x[0], learned[0].ensemble.stack), test_rows
+    mean, var = jax.vmap(member.standardised)(s, a)
+    share = np.array([0.04, 0.36, 9.0])  # of the variance: nothing is made louder
+    error = np.sqrt(share * np.asarray(var)) * np.sign(np.random.default_rng(5).normal(size=mean.shape))
+    quiet = no_louder_than_its_errors(member, s, a, mean + jnp.asarray(error, jnp.float32))
+    mean_then, var_then = jax.vmap(quiet.standardised)(s, a)
+    np.testing.assert_array_equal(mean_then, mean)
+    np.testing.assert_allclose(var_then.mean(0) / var.mean(0), np.minimum(share, 1.0), rtol=0.1)
+
+
+def test_a_member_without_errors_keeps_a_little_noise_from_which_it_can_learn(learned, test_rows):
+    member, (s, a) = jax.tree.map(lambda x: x[0], learned[0].ensemble.stack), test_rows
+    mean, var = jax.vmap(member.standardised)(s, a)
+    _, var_then = jax.vmap(no_louder_than_its_errors(member, s, a, mean).standardised)(s, a)
+    assert (var_then >= 0.9 * LEAST * var).all() and (var_then < 0.1 * var).all()
 
 
 def test_sigma_is_larger_far_from_the_data(learned, test_rows):

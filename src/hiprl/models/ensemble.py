@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -56,6 +57,12 @@ class Member(Dynamics):
         """The same mean as a function of raw input and output, with other scalers."""
         net = self.net.with_input_scaler(self.inputs, inputs).with_output_scaler(self.steps, steps)
         return Member(net, inputs, steps)
+
+    def quieter(self, share: Float[Array, " p"]) -> Member:
+        """The same with so much of the variance of its noise, but for the bounds of that."""
+        bias = self.net.biases[-1]
+        lowered = bias.at[bias.shape[0] // 2 :].add(jnp.log(share))
+        return eqx.tree_at(lambda member: member.net.biases[-1], self, lowered)
 
 
 class Ensemble(Dynamics):
