@@ -6,7 +6,7 @@ import pytest
 from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.features import OWN, WAVES, by_entry, size_of, waves
-from hiprl.models.relevance import SIZE, relevance_of, spread_by
+from hiprl.models.relevance import SIZE, relevance_of, shares_of, spread_by
 from hiprl.models.reward import AdditiveConfig, estimate_additive_reward
 from tests.data.samples import answers
 
@@ -51,7 +51,7 @@ def test_each_weight_belongs_to_its_entry():
 
 def test_where_nothing_was_learned_all_are_as_relevant_as_before():
     D, even = size_of(N), jnp.ones(N)
-    found = relevance_of(jnp.zeros(D), jnp.ones(D), jnp.zeros((3, D)), even, freedom=0.2)
+    found = relevance_of(shares_of(jnp.zeros(D), jnp.ones(D), jnp.zeros((3, D)), even), freedom=0.2)
     np.testing.assert_allclose(found, even, rtol=1e-5)
 
 
@@ -60,7 +60,7 @@ def test_what_explains_something_is_more_relevant_and_what_is_known_to_do_nothin
     mean = jnp.zeros(D).at[2].set(3.0)
     root = jnp.zeros((2, D)).at[0, 4].set(1.0)  # entry 3's slope is known to be 0
     prior = jnp.where(jnp.arange(D) <= N, 1.0, 1e-9)
-    few, more = (relevance_of(mean, prior, root, jnp.ones(N), freedom=freedom) for freedom in (0.2, 1.0))
+    few, more = (relevance_of(shares_of(mean, prior, root, jnp.ones(N)), freedom=freedom) for freedom in (0.2, 1.0))
     for found in few, more:
         assert int(jnp.argmax(found)) == 1 and int(jnp.argmin(found)) == 3
     assert float(few[1]) > 10 * float(few[3])

@@ -23,7 +23,7 @@ from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.evidence import Evidence, evidence, kinds_in
 from hiprl.models.features import Kernel, priors_of
 from hiprl.models.likelihood import Noise, for_each, responsibility
-from hiprl.models.relevance import OF_ANSWERS, relevance_of, spread_by
+from hiprl.models.relevance import OF_ANSWERS, relevance_of, shares_of, spread_by
 from hiprl.models.reward import (
     JUDGES,
     AdditiveReward,
@@ -326,7 +326,8 @@ def _search(
         root = ((posterior_of(A, given, found.belief).root * weight[None]) @ flat) * prior[None]
         r = seen.values(mean.astype(seen.X.dtype)).reshape(mask.shape)
         now = units(r, T, P, lengths, jnp.maximum(P.count - 1, 0)).astype(unit.dtype)
-        relevant = relevance_of(mean, prior, root, relevance, freedom=OF_ANSWERS)
+        shares = shares_of(mean, prior, root, relevance)  # at one scale of a few, which is not the likeliest size
+        relevant = relevance_of(shares / jnp.mean(shares), freedom=OF_ANSWERS)
         wrong = erring(A, given, found.belief) if learn_mistakes else mistakes
         apart = jnp.maximum(far(jnp.where(problem.filled, now / unit, 1.0)), far(wrong / mistakes))
         apart = jnp.maximum(apart, far((1 + relevant) / (1 + relevance)))  # what is silent may change by a lot

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from hiprl.models.features import FREQUENCIES, INSIDE, OWN, REACH, WAVES, by_entry
 
-OF_NUMBERS, OF_ANSWERS = 0.2, 0.7
+OF_NUMBERS, OF_ANSWERS = 0.2, 0.5
 """Degrees of freedom of the prior: the fewer, the more an entry may stand out or fall silent. A few numbers say so
 exactly what is wanted that entries may; choices and levels do not, and r̂ would be surer than it is right."""
 
@@ -38,27 +38,33 @@ def spread_by(prior: Float[Array, "*n D"], relevance: Float[Array, " entries"]) 
     return prior * jnp.broadcast_to(factors, prior.shape)
 
 
-def relevance_of(
+def shares_of(
     mean: Float[Array, " D"],
     prior: Float[Array, " D"],
     root: Float[Array, "n D"],
     before: Float[Array, " entries"],
-    *,
-    freedom: float,
 ) -> Float[Array, " entries"]:
-    """One step of expectation and maximisation.
+    """The variance that each entry is found to have, where the prior gives it a mean of 1: the step of expectation.
 
     Args:
         mean: posterior mean of θ.
         prior: its prior variance.
         root: R with posterior covariance diag(prior) - RᵀR.
         before: the relevance in this prior.
-        freedom: degrees of freedom of its own prior.
     """
     size = jnp.asarray(SIZE, mean.dtype)
     expected = jnp.sum(by_entry(prior) * jnp.sum(size**2, axis=1)[None], axis=1)
     learned = jnp.sum((by_entry(root) @ size) ** 2, axis=(0, 2))
     found = jnp.sum((by_entry(mean) @ size) ** 2, axis=1) + jnp.maximum(expected - learned, 0.0)
-    share = jnp.where(expected > 0, found / jnp.where(expected > 0, expected, 1.0), 1.0) * before
-    after = (freedom + share) / (freedom + 1)
+    return jnp.where(expected > 0, found / jnp.where(expected > 0, expected, 1.0), 1.0) * before
+
+
+def relevance_of(shares: Float[Array, " entries"], *, freedom: float) -> Float[Array, " entries"]:
+    """Relevance by what was found of each entry's variance: the step of maximisation.
+
+    Args:
+        shares: of a prior whose overall size is the likeliest one; else over their mean.
+        freedom: degrees of freedom of its own prior.
+    """
+    after = (freedom + shares) / (freedom + 1)
     return after / jnp.mean(after)

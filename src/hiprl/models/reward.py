@@ -22,7 +22,7 @@ from hiprl.data.trajectory import Trajectory
 from hiprl.data.trajectory_set import Trajectories
 from hiprl.models.evidence import BOX_MARGIN, Evidence, evidence
 from hiprl.models.features import AdditiveFeatures, Kernel, by_entry, parts_of
-from hiprl.models.relevance import OF_NUMBERS, relevance_of, spread_by
+from hiprl.models.relevance import OF_NUMBERS, relevance_of, shares_of, spread_by
 from hiprl.models.sums import columns, side_by_side, steps_of, values
 from hiprl.models.usual import typical_size
 from hiprl.types import Action, Reward, Scalar, State
@@ -267,7 +267,7 @@ def _settled(
         L, G_g, scale = L[best], G_g[best], scale[best]
         half = jax.scipy.linalg.solve_triangular(L, Psi * prior[None], lower=True)
         posterior = prior * (Psi.T @ G_g), prior * scale, half * jnp.sqrt(scale)
-        next_one = relevance_of(*posterior, relevance, freedom=OF_NUMBERS), among.noises[best]
+        next_one = relevance_of(shares_of(*posterior, relevance), freedom=OF_NUMBERS), among.noises[best]
         return next_one, (likely[best] + among.believed[kernel], posterior)
 
     first = start, among.noises[len(among.noises) // 2]
