@@ -201,6 +201,7 @@ def paper(env: str) -> Config:
             learning_rate=1e-3,
             weight_decay=0.0,
             bootstrap=False,
+            quieten=False,
             warm_steps=800,
             chunk=100,
         ),

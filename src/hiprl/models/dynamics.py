@@ -56,6 +56,8 @@ class DynamicsConfig:
     """Share of the transitions that no member trains on."""
     bootstrap: bool = True
     """Whether each member weighs the transitions by Poisson(1) draws of its own (paper: no)."""
+    quieten: bool = True
+    """Whether a member's noise is lowered to its errors where it is larger (paper: no)."""
 
     def __post_init__(self) -> None:
         if self.M < 2:
@@ -165,9 +167,11 @@ def estimate_dynamics(
         chunks=chunks,
         key=fit_key,
     )
-    weighed = held_draw(jr.fold_in(key, LOUDNESS), (WEIGHED,))
-    seen = rows.s[weighed], rows.a[weighed], targets[weighed]
-    fitted = jax.vmap(no_louder_than_its_errors, in_axes=(0, None, None, None))(eqx.tree_at(net_of, stack, nets), *seen)
+    fitted = eqx.tree_at(net_of, stack, nets)
+    if config.quieten:
+        weighed = held_draw(jr.fold_in(key, LOUDNESS), (WEIGHED,))
+        seen = rows.s[weighed], rows.a[weighed], targets[weighed]
+        fitted = jax.vmap(no_louder_than_its_errors, in_axes=(0, None, None, None))(fitted, *seen)
     return DynamicsState(Ensemble(fitted), state.bootstrap), report
 
 
