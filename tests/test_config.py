@@ -85,7 +85,8 @@ def test_the_paper_preset_is_appendix_b(env):
     assert config == paper(env)
     assert config.optimism == "eta_policy" and config.plan.kind == "sample"
     assert config.dynamics.M == 5 and config.dynamics.hidden == (32, 32) and config.dynamics.activation == "relu"
-    assert config.dynamics.learning_rate == 1e-3 and config.dynamics.weight_decay == 0 and not config.dynamics.bootstrap
+    assert config.dynamics.learning_rate == 1e-3 and config.dynamics.weight_decay == 0
+    assert not config.dynamics.bootstrap and not config.dynamics.quieten
     assert isinstance(config.reward, NetworkConfig)
     assert config.reward.hidden == (32, 32) and config.reward.activation == "relu"
     assert config.reward.learning_rate == 1e-2
