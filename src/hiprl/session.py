@@ -181,7 +181,7 @@ def refuse_finished(store: Store, run_id: str) -> None:
     if store.final(run_id) is not None:
         raise InputError(
             f"run {run_id} is finished; only a run that has episodes left can go on. "
-            f"Look at it with `hiprl show {run_id}`, or start a new one with `hiprl train`."
+            f"Look at it with `hiprl show {run_id} --store {store.name}`, or start a new one with `hiprl train`."
         )
 
 

@@ -38,7 +38,7 @@ def evidence_of(store: Store, row: RunRow) -> tuple[Trajectories, Preferences]:
     if not asked:
         raise InputError(
             f"run {row.id} has no answers yet; at least one is needed to learn a reward from. "
-            f"Let it go on with `hiprl resume {row.id}`."
+            f"Let it go on with `hiprl resume {row.id} --store {store.name}`."
         )
     H = int(row.spec["horizon"])
     p, q = taus[0].states.shape[1], taus[0].actions.shape[1]
