@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hiprl.cli.commands import DEFAULT_STORE, Export, Facts, Import
-from hiprl.cli.showing import say
+from hiprl.cli.saying import say
 from hiprl.errors import InputError
 from hiprl.store.exchange import exported, imported
 from hiprl.store.rows import PEOPLE, TrajectoryRow

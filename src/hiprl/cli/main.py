@@ -13,6 +13,7 @@ import tyro
 
 from hiprl.cli.commands import Command, Compare, Export, Facts, Import, Play, Relearn, Resume, Serve, Show, Teach, Train
 from hiprl.cli.interrupt import INTERRUPTED
+from hiprl.cli.saying import say
 from hiprl.errors import HiprlError, InputError
 
 DONE, FAILED, WRONG_INPUT = 0, 1, 2
@@ -119,8 +120,3 @@ def silenced() -> int:
 def notes_of(error: BaseException) -> list[str]:
     """What was added to an error on its way."""
     return getattr(error, "__notes__", [])
-
-
-def say(words: str) -> None:
-    """Words for a person, on stderr."""
-    print(words, file=sys.stderr, flush=True)

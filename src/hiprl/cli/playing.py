@@ -10,8 +10,8 @@ import jax.random as jr
 
 from hiprl.api import world_of
 from hiprl.cli.commands import Facts, Play
+from hiprl.cli.saying import say
 from hiprl.cli.serving import graphical
-from hiprl.cli.showing import say
 from hiprl.data.film import Film
 from hiprl.errors import InputError
 from hiprl.report.record import beside

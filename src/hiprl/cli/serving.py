@@ -17,6 +17,7 @@ from urllib.parse import quote
 import uvicorn
 
 from hiprl.cli.commands import Facts, Serve
+from hiprl.cli.saying import say
 from hiprl.errors import InputError
 from hiprl.store.store import Store, open_store
 from hiprl.web.access import LONGEST_PASSWORD, Doors
@@ -39,7 +40,6 @@ DRAWN = (
     "rollout-error",
 )
 """Pictures of a run, as `hiprl.report.figures` names them."""
-CLEARED = "\r\x1b[K"  # what a terminal begins a line anew by
 LOOKING = 75  # seconds that a line stays open for the next answer: a person looks at a pair for longer than a script
 
 
@@ -162,8 +162,3 @@ def end_with_input(server: uvicorn.Server) -> None:
     sys.stdin.buffer.read()
     os.kill(os.getpid(), signal.SIGINT)
     server.should_exit = True
-
-
-def say(words: str) -> None:
-    """Words for a person, on stderr; on a terminal in place of the line that a trainer keeps up to date there."""
-    print(CLEARED * sys.stderr.isatty() + words, file=sys.stderr, flush=True)

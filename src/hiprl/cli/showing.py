@@ -11,6 +11,7 @@ from rich.table import Table
 
 from hiprl.cli.commands import DEFAULT_STORE, Compare, Facts, Show
 from hiprl.cli.progress import duration
+from hiprl.cli.saying import say
 from hiprl.errors import InputError
 from hiprl.models.estimate import RewardConfig
 from hiprl.models.reward import AdditiveConfig
@@ -159,7 +160,9 @@ def table_of_numbers(run: Record, facts: Facts) -> Table:
     """What is told of one run."""
     table = Table("run", run.id, box=box.SIMPLE_HEAD)
     returned = (
-        f"not finished; go on with `hiprl resume {run.id}`" if not facts["finished"] else "not known: no reward is paid"
+        f"not finished; go on with `hiprl resume {run.id} --store {run.store}`"
+        if not facts["finished"]
+        else "not known: no reward is paid"
     )
     if facts["return_mean"] is not None:
         n = facts["eval_episodes"]
@@ -243,8 +246,3 @@ def worth_in_words(x: float | None) -> str:
 def percent(x: float | None) -> str:
     """A share in percent, or a dash."""
     return "-" if x is None else f"{100 * x:.0f} %"
-
-
-def say(words: str) -> None:
-    """Words for a person, on stderr."""
-    Console(stderr=True).print(words, highlight=False, markup=False, soft_wrap=True)

@@ -17,7 +17,8 @@ from hiprl.api import new_store, world_of
 from hiprl.cli.commands import Facts, Resume, Teach
 from hiprl.cli.interrupt import stoppable
 from hiprl.cli.progress import progress
-from hiprl.cli.serving import WITH_PARENT, listening, say
+from hiprl.cli.saying import say
+from hiprl.cli.serving import WITH_PARENT, listening
 from hiprl.cli.training import outcome, tell, typed
 from hiprl.config import Config, teachable
 from hiprl.data.words import goal_in
