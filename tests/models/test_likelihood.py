@@ -10,11 +10,21 @@ from hypothesis import strategies as st
 
 from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, level, ranking, slider
 from hiprl.data.preference import Kind, Said
-from hiprl.models.likelihood import Noise, between, curvature, log_likelihood, meant, plackett_luce, responsibility
+from hiprl.models.likelihood import (
+    Noise,
+    between,
+    derivatives,
+    log_likelihood,
+    meant,
+    mistaken,
+    plackett_luce,
+    responsibility,
+)
 
 difference = st.floats(-3, 3, width=32)
-LOG, SLOPE, CURVE = jax.jit(log_likelihood), jax.jit(jax.grad(log_likelihood)), jax.jit(curvature)
-RANKED, EXACT = jax.jit(plackett_luce), jax.jit(jax.hessian(meant))
+LOG, SLOPE, DERIVATIVES = jax.jit(log_likelihood), jax.jit(jax.grad(log_likelihood)), jax.jit(derivatives)
+RANKED = jax.jit(lambda u, items, kappa: plackett_luce(u, items, kappa).value)
+PARTS = [jax.jit(jax.hessian(lambda *given, part=part: part(*given).value)) for part in (meant, mistaken)]
 LEVELS = [level(x, 5) for x in (-2, -1, 0, 1, 2)]
 
 
@@ -91,16 +101,26 @@ def test_clips_past_the_ranking_do_not_count(u):
 @pytest.mark.parametrize("answer", [*LEVELS, choice(True), choice(False), EQUALLY_GOOD, CANNOT_TELL], ids=str)
 def test_no_difference_is_too_large_for_a_gradient(answer, u):
     told, how = Said.of(answer), noise(mistake=0.02)
-    for f in (LOG, SLOPE, CURVE):
-        assert np.isfinite(f(jnp.float32([u]), told, how)).all()
+    for found in (SLOPE(jnp.float32([u]), told, how), *DERIVATIVES(jnp.float32([u]), told, how)):
+        assert np.isfinite(found).all()
 
 
-@given(difference, st.sampled_from([*LEVELS, choice(True), EQUALLY_GOOD]))
-def test_the_curvature_is_that_of_the_likelihood_where_nobody_errs(u, answer):
-    told = Said.of(answer)
-    exact = -EXACT(jnp.float32([u]), told, noise())
-    np.testing.assert_allclose(CURVE(jnp.float32([u]), told, noise()), exact, rtol=1e-3, atol=1e-3)
-    assert float(exact[0, 0]) >= -1e-5
+NUMBER = Said(jnp.asarray(int(Kind.NUMBER)), jnp.float32(1.5), jnp.float32(1.5), jnp.asarray(2))
+TOLD = [Said.of(answer) for answer in (*LEVELS, choice(True), EQUALLY_GOOD, CANNOT_TELL)] + [
+    NUMBER,
+    *(Said.of(ranking(order)) for order in ((0, 1), (1, 0, 2), (0, 1, 2, 3), (3, 1, 0, 2))),
+]
+
+
+@given(st.tuples(difference, difference, difference), st.sampled_from(TOLD), st.sampled_from([0.0, 0.1]))
+def test_derivatives_are_those_of_the_log_likelihood(u, told, mistake):
+    given = jnp.float32(u), told, noise(mistake=mistake)
+    found, wrong = DERIVATIVES(*given), float(responsibility(*given))
+    assert float(found.value) == pytest.approx(float(LOG(*given)), rel=1e-5, abs=1e-5)
+    np.testing.assert_allclose(found.slope, SLOPE(*given), rtol=2e-3, atol=2e-3)
+    right, other = (-part(*given) for part in PARTS)
+    np.testing.assert_allclose(found.curvature, (1 - wrong) * right + wrong * other, rtol=2e-3, atol=5e-3)
+    assert np.linalg.eigvalsh(np.asarray(found.curvature)).min() >= -1e-3
 
 
 def test_a_surprise_is_more_likely_a_mistake():
@@ -110,8 +130,7 @@ def test_a_surprise_is_more_likely_a_mistake():
 
 
 def test_numbers_err_by_a_gaussian():
-    told = Said(jnp.asarray(int(Kind.NUMBER)), jnp.float32(1.5), jnp.float32(1.5), jnp.asarray(2))
-    value = float(LOG(jnp.float32([1.3]), told, noise(var=0.04, mistake=0.3)))
+    value = float(LOG(jnp.float32([1.3]), NUMBER, noise(var=0.04, mistake=0.3)))
     assert value == pytest.approx(-0.5 * 0.04 / 0.04 - 0.5 * math.log(2 * math.pi * 0.04), rel=1e-3)
 
 

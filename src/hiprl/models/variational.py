@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float
 
 from hiprl.data.preference import Kind, Said
 from hiprl.models.averaged import MOST, averaged, beyond_gaussian
-from hiprl.models.likelihood import Noise, curvature, for_each, log_likelihood
+from hiprl.models.likelihood import Noise, derivatives, for_each, log_likelihood
 from hiprl.types import Count, Flag, Scalar
 
 JITTER = 1e-10
@@ -134,10 +134,10 @@ def over_belief(f: Float[Array, " n"], S: Float[Array, "rows J J"], given: Answe
     z, weights = (jnp.asarray(x, f.dtype) for x in points(J))
     L = root_of(S)
     u = f.reshape(1, rows, J) + jnp.einsum("rij,zj->zri", L, z)
-    mean = lambda of: jnp.tensordot(weights, jax.vmap(lambda u: for_each(of, u, said, noise))(u), 1)
-    value = jnp.where(filled, mean(log_likelihood), 0.0)
-    slope = jnp.where(filled[:, None], mean(jax.grad(log_likelihood)), 0.0)
-    return value, slope.reshape(-1), jnp.where(filled[:, None, None], mean(curvature), 0.0)
+    each = jax.vmap(lambda u: for_each(derivatives, u, said, noise))(u)
+    value, slope, bend = jax.tree.map(lambda x: jnp.tensordot(weights, x, 1), each)
+    counted = lambda x: jnp.where(filled.reshape(rows, *[1] * (x.ndim - 1)), x, 0.0)
+    return counted(value), counted(slope).reshape(-1), counted(bend)
 
 
 def by_block(M: Float[Array, "rows J J"], X: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
