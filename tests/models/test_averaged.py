@@ -8,7 +8,7 @@ from scipy import stats
 
 from hiprl.data.answer import choice, level, number, ranking
 from hiprl.models.averaged import averaged, beyond_gaussian, normal, probability
-from hiprl.models.likelihood import Noise, derivatives, for_each, meant
+from hiprl.models.likelihood import Noise, for_each, log_likelihood, meant
 from tests.models.test_variational import stacked
 
 MEAN, VAR = [0.3, -0.2, 1.1, 0.6, -0.4], [0.7, 1.3, 4.0, 1e-4, 2.0]
@@ -21,11 +21,14 @@ def noise(kappa, mistake=0.0):
     return Noise(jnp.float32(kappa), jnp.float32(1e-2), jnp.full(5, mistake, jnp.float32))
 
 
-def integrals(how, of=derivatives):
-    """Mean of value, slope and curvature of each log likelihood over its belief."""
+def integrals(how, likelihood=log_likelihood):
+    """Mean of value, slope and minus the second derivative of each log likelihood over its belief."""
     u = jnp.float32(np.asarray(MEAN)[:, None] + np.sqrt(VAR)[:, None] * Z)
-    each = jax.jit(jax.vmap(lambda u: for_each(of, u[:, None], TOLD, how)))(u.T)
-    return [DENSITY @ np.asarray(x, float).reshape(len(Z), -1) for x in each]
+    found = []
+    for of in (likelihood, jax.grad(likelihood), lambda *given: -jax.hessian(likelihood)(*given)):
+        each = jax.jit(jax.vmap(lambda u: for_each(of, u[:, None], TOLD, how)))(u.T)  # noqa: B023
+        found.append(DENSITY @ np.asarray(each, float).reshape(len(Z), -1))
+    return found
 
 
 @pytest.mark.parametrize("kappa", [0.03, 0.1, 0.3])

@@ -10,21 +10,13 @@ from hypothesis import strategies as st
 
 from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, level, ranking, slider
 from hiprl.data.preference import Kind, Said
-from hiprl.models.likelihood import (
-    Noise,
-    between,
-    derivatives,
-    log_likelihood,
-    meant,
-    mistaken,
-    plackett_luce,
-    responsibility,
-)
+from hiprl.models import likelihood
+from hiprl.models.likelihood import Noise, between, log_likelihood, meant, plackett_luce, responsibility
 
 difference = st.floats(-3, 3, width=32)
-LOG, SLOPE, DERIVATIVES = jax.jit(log_likelihood), jax.jit(jax.grad(log_likelihood)), jax.jit(derivatives)
+LOG, SLOPE = jax.jit(log_likelihood), jax.jit(jax.grad(log_likelihood))
+RANKING, BENT = jax.jit(likelihood.ranking), jax.jit(jax.hessian(meant))
 RANKED = jax.jit(lambda u, items, kappa: plackett_luce(u, items, kappa).value)
-PARTS = [jax.jit(jax.hessian(lambda *given, part=part: part(*given).value)) for part in (meant, mistaken)]
 LEVELS = [level(x, 5) for x in (-2, -1, 0, 1, 2)]
 
 
@@ -101,26 +93,27 @@ def test_clips_past_the_ranking_do_not_count(u):
 @pytest.mark.parametrize("answer", [*LEVELS, choice(True), choice(False), EQUALLY_GOOD, CANNOT_TELL], ids=str)
 def test_no_difference_is_too_large_for_a_gradient(answer, u):
     told, how = Said.of(answer), noise(mistake=0.02)
-    for found in (SLOPE(jnp.float32([u]), told, how), *DERIVATIVES(jnp.float32([u]), told, how)):
-        assert np.isfinite(found).all()
+    assert np.isfinite(SLOPE(jnp.float32([u]), told, how)).all() and np.isfinite(LOG(jnp.float32([u]), told, how))
 
 
-NUMBER = Said(jnp.asarray(int(Kind.NUMBER)), jnp.float32(1.5), jnp.float32(1.5), jnp.asarray(2))
-TOLD = [Said.of(answer) for answer in (*LEVELS, choice(True), EQUALLY_GOOD, CANNOT_TELL)] + [
-    NUMBER,
-    *(Said.of(ranking(order)) for order in ((0, 1), (1, 0, 2), (0, 1, 2, 3), (3, 1, 0, 2))),
-]
-
-
-@given(st.tuples(difference, difference, difference), st.sampled_from(TOLD), st.sampled_from([0.0, 0.1]))
-def test_derivatives_are_those_of_the_log_likelihood(u, told, mistake):
-    given = jnp.float32(u), told, noise(mistake=mistake)
-    found, wrong = DERIVATIVES(*given), float(responsibility(*given))
+@given(
+    st.tuples(difference, difference, difference),
+    st.sampled_from([(0, 1), (1, 0, 2), (0, 1, 2, 3), (3, 1, 0, 2)]),
+    st.sampled_from([0.0, 0.1]),
+)
+def test_slope_and_curvature_of_a_ranking_are_those_of_its_log_likelihood(u, order, mistake):
+    given = jnp.float32(u), Said.of(ranking(order)), noise(mistake=mistake)
+    found, wrong = RANKING(*given), float(responsibility(*given))
     assert float(found.value) == pytest.approx(float(LOG(*given)), rel=1e-5, abs=1e-5)
     np.testing.assert_allclose(found.slope, SLOPE(*given), rtol=2e-3, atol=2e-3)
-    right, other = (-part(*given) for part in PARTS)
-    np.testing.assert_allclose(found.curvature, (1 - wrong) * right + wrong * other, rtol=2e-3, atol=5e-3)
+    np.testing.assert_allclose(found.curvature, -(1 - wrong) * BENT(*given), rtol=2e-3, atol=5e-3)
     assert np.linalg.eigvalsh(np.asarray(found.curvature)).min() >= -1e-3
+
+
+@pytest.mark.parametrize("u", [[1e4, 5e3, 1e3], [-1e4, 5e3, 0.0], [50.0, -50.0, 0.0]])
+def test_no_utility_is_too_far_off_for_a_ranking(u):
+    for found in RANKING(jnp.float32(u), Said.of(ranking((0, 1, 2, 3))), noise(mistake=0.02)):
+        assert np.isfinite(found).all()
 
 
 def test_a_surprise_is_more_likely_a_mistake():
@@ -130,7 +123,8 @@ def test_a_surprise_is_more_likely_a_mistake():
 
 
 def test_numbers_err_by_a_gaussian():
-    value = float(LOG(jnp.float32([1.3]), NUMBER, noise(var=0.04, mistake=0.3)))
+    told = Said(jnp.asarray(int(Kind.NUMBER)), jnp.float32(1.5), jnp.float32(1.5), jnp.asarray(2))
+    value = float(LOG(jnp.float32([1.3]), told, noise(var=0.04, mistake=0.3)))
     assert value == pytest.approx(-0.5 * 0.04 / 0.04 - 0.5 * math.log(2 * math.pi * 0.04), rel=1e-3)
 
 

@@ -15,7 +15,6 @@ Source: Bradley and Terry (1952); Plackett (1975), Luce (1959); ordered logit, M
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -43,14 +42,6 @@ class Noise(eqx.Module):
     an answer, or one for each."""
 
 
-class Derivatives(NamedTuple):
-    """A log likelihood, its slope in u, and minus its second derivative there."""
-
-    value: Scalar
-    slope: Float[Array, " J"]
-    curvature: Float[Array, "J J"]
-
-
 def between(
     low: Float[Array, "..."], high: Float[Array, "..."], u: Float[Array, "..."], kappa: Scalar
 ) -> Float[Array, "..."]:
@@ -64,31 +55,40 @@ def both_sides(low: Float[Array, "..."], high: Float[Array, "..."], kappa: Scala
     return jnp.log(-jnp.expm1(-jnp.clip((high - low) / kappa, TINY, WIDE)))
 
 
-def between_sides(
-    low: Float[Array, "..."], high: Float[Array, "..."], u: Float[Array, "..."], kappa: Scalar
-) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Slope of `between` in u, and minus its second derivative."""
-    a, b = (jax.nn.sigmoid(jnp.clip((bound - u) / kappa, -WIDE, WIDE)) for bound in (low, high))
-    return (a - (1 - b)) / kappa, (a * (1 - a) + b * (1 - b)) / kappa**2
+class Derivatives(NamedTuple):
+    """A log likelihood, its slope in u, and minus its second derivative there."""
+
+    value: Scalar
+    slope: Float[Array, " J"]
+    curvature: Float[Array, "J J"]
 
 
 def plackett_luce(u: Float[Array, " J"], items: Count, kappa: Scalar) -> Derivatives:
     """Of the probability that the first `items` clips come in the order given; the last of them has utility 0.
+
+    From the last place to the first: each is a choice between its clip and all that come after it, which are as good
+    together as `rest`. What is chosen there is chosen as often before, where the clip of that place is not.
 
     Args:
         u: utility of each clip but the last over that of the last; what lies past `items` - 1 does not count.
         items: clips in the ranking.
         kappa: scale of the error of perception.
     """
-    j = jnp.arange(u.shape[0] + 1)
-    ranked, free = j < items, (j < items - 1)[:-1]
-    v = jnp.append(jnp.where(free, u, 0.0), 0.0) / kappa
-    left = (j[None] >= j[:, None]) & ranked[None]  # to choose from, at each place
-    rest = jax.nn.logsumexp(jnp.where(left | ~ranked[:, None], v[None], -jnp.inf), axis=1)
-    chosen = jnp.where(left[:, :-1] & free[None], jnp.exp(v[None, :-1] - rest[:, None]), 0.0)
-    often = jnp.sum(chosen, axis=0)
-    value = jnp.sum(jnp.where(ranked, v - rest, 0.0))
-    return Derivatives(value, (free - often) / kappa, (jnp.diag(often) - chosen.T @ chosen) / kappa**2)
+    J = len(u)
+    value = rest = jnp.zeros((), u.dtype)
+    chosen = often = jnp.zeros_like(u)
+    both = jnp.zeros((J, J), u.dtype)
+    for j in reversed(range(J)):
+        ranked = j < items - 1
+        ahead = jnp.where(ranked, u[j] / kappa - rest, 0.0)
+        share = jnp.where(ranked, jax.nn.sigmoid(ahead), 0.0)
+        chosen = ((1 - share) * chosen).at[j].set(share)
+        value -= jnp.where(ranked, jax.nn.softplus(-ahead), 0.0)
+        rest += jnp.where(ranked, jax.nn.softplus(ahead), 0.0)
+        often += chosen
+        both += jnp.outer(chosen, chosen)
+    free = jnp.arange(J) < items - 1
+    return Derivatives(value, (free - often) / kappa, (jnp.diag(often) - both) / kappa**2)
 
 
 def for_each(f: Callable[..., Any], u: Float[Array, "rows J"], said: Said, noise: Noise) -> Any:
@@ -102,63 +102,47 @@ def levelled(said: Said) -> Flag:
     return (said.kind == Kind.LEVEL) | (said.kind == Kind.RATING)
 
 
-def of_first(value: Scalar, slope: Scalar, curvature: Scalar, u: Float[Array, " J"]) -> Derivatives:
-    """Of what hangs on u_1 alone."""
-    slopes, curvatures = jnp.zeros_like(u), jnp.zeros((*u.shape, *u.shape), u.dtype)
-    return Derivatives(value, slopes.at[0].set(slope), curvatures.at[0, 0].set(curvature))
+def meant(u: Float[Array, " J"], said: Said, noise: Noise) -> Scalar:
+    """Log likelihood of an answer that is no mistake."""
+    is_level, is_ranking = levelled(said), said.kind == Kind.RANKING
+    # what does not apply must stay finite, for the gradient's sake
+    g = jnp.where(said.kind == Kind.NUMBER, said.low, 0.0)
+    number = -0.5 * (u[0] - g) ** 2 / noise.var - 0.5 * jnp.log(2 * jnp.pi * noise.var)
+    low, high = jnp.where(is_level, said.low, -1.0), jnp.where(is_level, said.high, 1.0)
+    level = between(low, high, jnp.where(is_level, u[0], 0.0), noise.kappa)
+    order = plackett_luce(jnp.where(is_ranking, u, 0.0), jnp.where(is_ranking, said.items, 1), noise.kappa)
+    return jnp.where(is_ranking, order.value, jnp.where(is_level, level, number))
 
 
-def chosen_from(which: Flag, one: Derivatives, other: Derivatives) -> Derivatives:
-    """One or the other."""
-    return jax.tree.map(partial(jnp.where, which), one, other)
-
-
-def a_level(u: Float[Array, " J"], said: Said, kappa: Scalar) -> Derivatives:
-    """Of a level; finite where the answer is none."""
+def mistaken(u: Float[Array, " J"], said: Said, noise: Noise) -> Scalar:
+    """Log likelihood of an answer that is a mistake: a level for the wrong clip, any ranking at all."""
     is_level = levelled(said)
     low, high = jnp.where(is_level, said.low, -1.0), jnp.where(is_level, said.high, 1.0)
-    first = jnp.where(is_level, u[0], 0.0)
-    return of_first(between(low, high, first, kappa), *between_sides(low, high, first, kappa), u)
-
-
-def meant(u: Float[Array, " J"], said: Said, noise: Noise) -> Derivatives:
-    """Of an answer that is no mistake."""
-    is_ranking = said.kind == Kind.RANKING
-    # what does not apply must stay finite, for the gradient's sake
-    error = jnp.where(said.kind == Kind.NUMBER, said.low, 0.0) - u[0]
-    value = -0.5 * error**2 / noise.var - 0.5 * jnp.log(2 * jnp.pi * noise.var)
-    number = of_first(value, error / noise.var, 1 / noise.var, u)
-    ranking = plackett_luce(jnp.where(is_ranking, u, 0.0), jnp.where(is_ranking, said.items, 1), noise.kappa)
-    level = a_level(u, said, noise.kappa)
-    return chosen_from(is_ranking, ranking, chosen_from(levelled(said), level, number))
-
-
-def mistaken(u: Float[Array, " J"], said: Said, noise: Noise) -> Derivatives:
-    """Of an answer that is a mistake: a level for the wrong clip, any ranking at all."""
-    turned = a_level(-u, said, noise.kappa)
-    no_order = jax.tree.map(jnp.zeros_like, turned)._replace(value=-jax.lax.lgamma(said.items + 1.0).astype(u.dtype))
-    return chosen_from(levelled(said), turned._replace(slope=-turned.slope), no_order)
-
-
-def derivatives(u: Float[Array, " J"], said: Said, noise: Noise) -> Derivatives:
-    """Of one answer, mistakes included; the curvature is that of which explanation fits, and so never negative.
-
-    With mistakes the likelihood is a mixture and need not be log-concave; each of its two parts is.
-    """
-    true, false, wrong = meant(u, said, noise), mistaken(u, said, noise), responsibility(u, said, noise)
-    mixed = lambda x, y: (1 - wrong) * x + wrong * y
-    return jax.tree.map(mixed, true, false)._replace(value=log_likelihood(u, said, noise))
+    level = between(low, high, jnp.where(is_level, -u[0], 0.0), noise.kappa)
+    return jnp.where(is_level, level, -jax.lax.lgamma(said.items + 1.0))
 
 
 def log_likelihood(u: Float[Array, " J"], said: Said, noise: Noise) -> Scalar:
     """Log likelihood of one answer, mistakes included. Numbers are never mistaken for others."""
-    true, false = meant(u, said, noise).value, mistaken(u, said, noise).value
+    true, false = meant(u, said, noise), mistaken(u, said, noise)
     either = jnp.logaddexp(jnp.log1p(-noise.mistake) + true, jnp.log(jnp.maximum(noise.mistake, LEAST)) + false)
     return jnp.where(said.kind == Kind.NUMBER, true, either)
 
 
 def responsibility(u: Float[Array, " J"], said: Said, noise: Noise) -> Scalar:
     """Probability that the answer was a mistake, given the utilities."""
-    false = jnp.log(jnp.maximum(noise.mistake, LEAST)) + mistaken(u, said, noise).value
+    false = jnp.log(jnp.maximum(noise.mistake, LEAST)) + mistaken(u, said, noise)
     found = jnp.exp(false - log_likelihood(u, said, noise))
     return jnp.where(said.kind == Kind.NUMBER, 0.0, jnp.minimum(found, 1.0))
+
+
+def ranking(u: Float[Array, " J"], said: Said, noise: Noise) -> Derivatives:
+    """Of a ranking, mistakes included; the curvature is that of which explanation fits, and so never negative.
+
+    With mistakes the likelihood is a mixture and need not be log-concave; what is meant is.
+    """
+    true = plackett_luce(u, said.items, noise.kappa)
+    false = jnp.log(jnp.maximum(noise.mistake, LEAST)) - jax.lax.lgamma(said.items + 1.0)
+    ahead = jnp.log1p(-noise.mistake) + true.value - false
+    right = jax.nn.sigmoid(ahead)
+    return Derivatives(false + jax.nn.softplus(ahead), right * true.slope, right * true.curvature)

@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float
 
 from hiprl.data.preference import Kind, Said
 from hiprl.models.averaged import MOST, averaged, beyond_gaussian
-from hiprl.models.likelihood import Noise, derivatives, for_each, log_likelihood
+from hiprl.models.likelihood import Derivatives, Noise, ranking
 from hiprl.types import Count, Flag, Scalar
 
 JITTER = 1e-10
@@ -125,19 +125,44 @@ class Answers(NamedTuple):
 
 
 def over_belief(f: Float[Array, " n"], S: Float[Array, "rows J J"], given: Answers):
-    """Mean of the log likelihood, of its slope and of its curvature over the belief, for each row."""
+    """Mean of the log likelihood, of its slope and of its curvature over the belief, for each row.
+
+    In closed form where one value is all that counts, over draws for a ranking of many.
+    """
     said, filled, noise = given
     rows, J, _ = S.shape
-    if J == 1:  # the common case, in closed form
-        value, slope, bend = (jnp.where(filled, x, 0.0) for x in averaged(f, S[:, 0, 0], said, noise))
-        return value, slope, bend[:, None, None]
+    value, first, bend_first = averaged(f.reshape(rows, J)[:, 0], S[:, 0, 0], said, noise)
+    if J == 1:
+        slope, bend = first, bend_first[:, None, None]
+    else:
+        u, weights = draws_of(f, S)
+        ranked = jax.tree.map(lambda x: jnp.einsum("z,...zr->r...", weights, x), of_rankings(u, said, noise))
+        slope, bend = jnp.zeros_like(S[:, 0]).at[:, 0].set(first), jnp.zeros_like(S).at[:, 0, 0].set(bend_first)
+        of_one, is_ranking = Derivatives(value, slope, bend), said.kind == Kind.RANKING
+        value, slope, bend = jax.tree.map(partial(chosen_rows, is_ranking), ranked, of_one)
+    value, slope, bend = (chosen_rows(filled, x, jnp.zeros_like(x)) for x in (value, slope, bend))
+    return value, slope.reshape(-1), bend
+
+
+def chosen_rows(which: Bool[Array, " rows"], x: Float[Array, "rows ..."], other: Float[Array, "rows ..."]) -> Array:
+    """These rows of the one, all others of the other."""
+    return jnp.where(which.reshape(-1, *[1] * (x.ndim - 1)), x, other)
+
+
+def draws_of(
+    f: Float[Array, " n"], S: Float[Array, "rows J J"]
+) -> tuple[Float[Array, "J draws rows"], Float[Array, " draws"]]:
+    """Draws of the values of each row from the belief, and their weights."""
+    rows, J, _ = S.shape
     z, weights = (jnp.asarray(x, f.dtype) for x in points(J))
-    L = root_of(S)
-    u = f.reshape(1, rows, J) + jnp.einsum("rij,zj->zri", L, z)
-    each = jax.vmap(lambda u: for_each(derivatives, u, said, noise))(u)
-    value, slope, bend = jax.tree.map(lambda x: jnp.tensordot(weights, x, 1), each)
-    counted = lambda x: jnp.where(filled.reshape(rows, *[1] * (x.ndim - 1)), x, 0.0)
-    return counted(value), counted(slope).reshape(-1), counted(bend)
+    return f.reshape(rows, J).T[:, None] + jnp.einsum("rij,zj->izr", root_of(S), z), weights
+
+
+def of_rankings(u: Float[Array, "J draws rows"], said: Said, noise: Noise) -> Derivatives:
+    """Each answer at each draw, as if it was a ranking; rows come last, side by side in memory."""
+    one = lambda u, said, mistake: ranking(u, said, Noise(noise.kappa, noise.var, mistake))
+    rows = jax.vmap(one, in_axes=-1, out_axes=-1)
+    return jax.vmap(lambda u: rows(u, said, noise.mistake), in_axes=1, out_axes=-2)(u)
 
 
 def by_block(M: Float[Array, "rows J J"], X: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
@@ -240,7 +265,7 @@ def divergence(z: Float[Array, " r"], belief: Belief) -> Scalar:
 
 
 def left_out(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Scalar:
-    """By how much the bound is too low, each answer by itself: in closed form, or of several values to second order.
+    """By how much the bound is too low, each answer by itself: in closed form, or for rankings of many to second order.
 
     The second order is half the variance over the belief of what is neither linear nor quadratic in a log likelihood.
     Without all this, scales would be found too small: the larger they are, the less a belief after a choice looks like
@@ -249,19 +274,17 @@ def left_out(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Scalar:
     said, filled, noise = given
     rows, J, _ = belief.S.shape
     f = A @ (A.T @ belief.dual)
-    if J == 1:
-        rest = beyond_gaussian(f, belief.S[:, 0, 0], belief.dual, belief.W[:, 0, 0], said, noise)
-        return jnp.sum(jnp.where(filled, rest, 0.0))
-    z, weights = (jnp.asarray(x, A.dtype) for x in points(J))
-    L = root_of(belief.S)
-    u = f.reshape(1, rows, J) + jnp.einsum("rij,zj->zri", L, z)
-    value = jax.vmap(lambda u: for_each(log_likelihood, u, said, noise))(u)
-    value = value - (weights @ value)[None]
-    linear = jnp.einsum("z,zr,zi->ri", weights, value, z)
-    quadratic = jnp.einsum("z,zr,zi,zj->rij", weights, value, z, z)
-    rest = weights @ value**2 - jnp.sum(linear**2, axis=1) - 0.5 * jnp.sum(quadratic**2, axis=(1, 2))
-    counted = filled & (said.kind != Kind.NUMBER)
-    return jnp.sum(jnp.where(counted, jnp.clip(0.5 * rest, 0.0, MOST), 0.0))
+    first = lambda x: x.reshape(rows, J)[:, 0]
+    rest = beyond_gaussian(first(f), belief.S[:, 0, 0], first(belief.dual), belief.W[:, 0, 0], said, noise)
+    if J > 1:
+        z, weights = (jnp.asarray(x, A.dtype) for x in points(J))
+        value = of_rankings(draws_of(f, belief.S)[0], said, noise).value
+        value = value - (weights @ value)[None]
+        linear = jnp.einsum("z,zr,zi->ri", weights, value, z)
+        quadratic = jnp.einsum("z,zr,zi,zj->rij", weights, value, z, z)
+        of_many = weights @ value**2 - jnp.sum(linear**2, axis=1) - 0.5 * jnp.sum(quadratic**2, axis=(1, 2))
+        rest = jnp.where(said.kind == Kind.RANKING, jnp.clip(0.5 * of_many, 0.0, MOST), rest)
+    return jnp.sum(jnp.where(filled, rest, 0.0))
 
 
 def posterior_of(A: Float[Array, "n r"], given: Answers, belief: Belief) -> Posterior:
