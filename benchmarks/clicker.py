@@ -96,6 +96,8 @@ class Person:
         self.worths: list[float] = []
         """Of all clips seen so far: what is much is judged by what there is."""
         self.shown: dict | None = None
+        self.taken = 0
+        """Answers that arrived."""
         self.waits: list[float] = []
         """Seconds from each answer to the next pair."""
         page.on("response", self._look)
@@ -103,6 +105,7 @@ class Person:
     def _look(self, response: Any) -> None:
         if "/next?" in response.url and response.ok and (question := response.json()["question"]) is not None:
             self.shown = question
+        self.taken += response.ok and response.request.method == "POST" and response.url.endswith("/answers")
 
     def leave(self) -> None:
         """Closes the page; a pair that is still on its way is not looked at."""
@@ -125,7 +128,8 @@ class Person:
         return str(3 + level)
 
     def answer(self, n: int, *, pause: float = 0.5, patience: float = 300.0) -> int:
-        """Answers so many questions, or as many as there are; gives how many there were."""
+        """Answers so many questions, or as many as there are; gives how many there were, when all have arrived."""
+        taken = self.taken
         for done in range(n):
             began, before = time.monotonic(), self.shown
             while self.shown is before and self.shown is not None and done:
@@ -140,4 +144,9 @@ class Person:
                 self.waits.append(time.monotonic() - began)
             self.page.wait_for_timeout(1000 * pause)
             self.page.keyboard.press(self.key())
+        began = time.monotonic()
+        while self.taken < taken + n:
+            if time.monotonic() - began > patience:
+                raise TimeoutError(f"of {n} answers {self.taken - taken} arrived within {patience:.0f} s")
+            self.page.wait_for_timeout(50)
         return n

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -15,7 +16,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
-from benchmarks.clicker import CHROMIUM, chromium, started
+from benchmarks.clicker import CHROMIUM, Started, chromium, started
 from hiprl.data.answer import CANNOT_TELL, EQUALLY_GOOD, choice, level
 from hiprl.store.store import Store, open_store
 from hiprl.web.shown import turned
@@ -42,8 +43,9 @@ def browser() -> Iterator[Any]:
 class Served:
     """A store with a page before it, and tabs that look at it."""
 
-    def __init__(self, browser: Any, address: str, said: list[str], store: Store, run_id: str):
-        self.browser, self.said, self.store, self.run_id = browser, said, store, run_id
+    def __init__(self, browser: Any, page: Started, store: Store, run_id: str):
+        self.browser, self.store, self.run_id = browser, store, run_id
+        self.process, address, self.said = page
         self.home = re.match(r"http://[^/]+", address)[0]
         self.contexts: list[Any] = []
         self.troubles: list[str] = []
@@ -122,7 +124,7 @@ def served(made: str, store: Store, browser: Any) -> Iterator[Served]:
     run_id = a_taught_run(store, questions=6)
     store.set_goal(run_id, "go along")
     with started("serve", "--store", made, "--port", "8700") as page:
-        found = Served(browser, page.address, page.said, store, run_id)
+        found = Served(browser, page, store, run_id)
         yield found
         for context in found.contexts:
             context.close()
@@ -170,6 +172,21 @@ def test_undo_and_reload_lose_nothing(served: Served):
     assert served.shown(page) == second  # it is still this judge's
     served.press(page, "e")
     assert len(served.store.answers(served.run_id)) == 3
+
+
+@ANY_STORE
+def test_who_answers_and_goes_at_once_has_answered(served: Served):
+    page = served.tab("/teach")
+    k = served.shown(page)
+    served.process.send_signal(signal.SIGSTOP)  # as one that is busy with others
+    page.keyboard.press("2")
+    page.close()
+    served.process.send_signal(signal.SIGCONT)
+    until = time.monotonic() + PATIENCE / 1000
+    while not served.store.answers(served.run_id):
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    assert as_shown(served.store, served.run_id, k) == level(1, 5)
 
 
 @POSTGRESQL_SLOW
@@ -222,7 +239,7 @@ def test_two_judges_answer_at_once(served: Served):
 def test_the_first_visit_asks_what_is_wanted(made: str, store: Store, browser: Any):
     run_id = a_taught_run(store)
     with started("serve", run_id, "--store", made, "--port", "8700") as page:
-        served = Served(browser, page.address, page.said, store, run_id)
+        served = Served(browser, page, store, run_id)
         tab = served.tab("/teach", judge=None)
         tab.wait_for_selector("#setup[open]")
         tab.fill("#setup-goal", "<b>hop</b> & run")
@@ -401,7 +418,7 @@ def test_a_trainer_that_is_killed_loses_nothing_and_the_page_goes_on(made: str, 
     run_id = begun(store)
     store.set_goal(run_id, "go to the middle")
     with started("serve", "--store", made, "--port", "8700") as page:
-        served = Served(browser, page.address, page.said, store, run_id)
+        served = Served(browser, page, store, run_id)
         with trained(made, run_id) as trainer:
             until(lambda: store.scene(run_id) is not None)
             tab = served.tab("/teach")

@@ -80,6 +80,7 @@ export function api(run) {
   };
   const post = (path, body) => call(`${base}/${path}`, {
     method: "POST", headers: { "Content-Type": "application/json", "X-Hiprl": "1" }, body: JSON.stringify(body),
+    keepalive: true, // it arrives, though the page is closed at once
   });
   return {
     scene: () => get("scene"),
