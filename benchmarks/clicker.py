@@ -103,8 +103,14 @@ class Person:
         page.on("response", self._look)
 
     def _look(self, response: Any) -> None:
-        if "/next?" in response.url and response.ok and (question := response.json()["question"]) is not None:
-            self.shown = question
+        from playwright.sync_api import Error
+
+        if "/next?" in response.url and response.ok:
+            try:
+                question = response.json()["question"]
+            except Error:  # the page was closed before all of it was there
+                return
+            self.shown = question or self.shown
         self.taken += response.ok and response.request.method == "POST" and response.url.endswith("/answers")
 
     def leave(self) -> None:
